@@ -28,7 +28,7 @@ from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.rainbow import Rainbow
 
-_MASKS, _OBSERVATIONS, _OUTPUTS = "action_masks", "observations", ("actions", "q_values")
+_MASKS = "action_masks"
 
 
 class ExportError(ValueError):
@@ -38,9 +38,7 @@ class ExportError(ValueError):
 class GreedyPolicy(nn.Module):
     """What is exported: greedy actions and Q-values of a network's mean weights.
 
-    Args:
-        q_net: the network.
-        keys: of a dict of observations, in the order of their tensors.
+    ``keys`` of a dict of observations are in the order of their tensors.
     """
 
     def __init__(self, q_net: RainbowNetwork, keys: tuple[str, ...] = ()) -> None:
@@ -70,12 +68,13 @@ def to_onnx(model: Rainbow, path: str | os.PathLike[str]) -> None:
             f"{error.name} is missing: pip install 'sb3-rainbow-coop[export]'"
         ) from error
     program = to_program(model)
+    observations = [f"observations_{key}" for key in _keys(model.policy)] or ["observations"]
     with warnings.catch_warnings(), _errors_alone():
         warnings.simplefilter("ignore")  # of torch about itself
         exported = th.onnx.export(
             program,
-            input_names=_names(model.policy),
-            output_names=list(_OUTPUTS),
+            input_names=[*observations, _MASKS],
+            output_names=["actions", "q_values"],
             verbose=False,
         )
     assert exported is not None
@@ -112,7 +111,10 @@ def to_program(model: Rainbow) -> th.export.ExportedProgram:
                     f"{type(part).__name__} chooses actions by a {name} of its own, which would be "
                     "lost"
                 )
-    examples = _examples(policy)
+    space = copy.deepcopy(policy.observation_space)  # drawing would move its generator
+    each = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
+    two_rows = [th.as_tensor(np.stack([part.sample()] * 2)) for part in each]
+    examples = (*two_rows, th.ones(2, policy.q_net.n_actions, dtype=th.bool))
     rows = th.export.Dim("rows", min=1)
     shapes = {"inputs": tuple({0: rows} for _ in examples)}
     greedy = GreedyPolicy(copy.deepcopy(policy.q_net).to("cpu"), _keys(policy)).eval()
@@ -128,20 +130,6 @@ def to_program(model: Rainbow) -> th.export.ExportedProgram:
 def _keys(policy: RainbowPolicy) -> tuple[str, ...]:
     space = policy.observation_space
     return tuple(space.spaces) if isinstance(space, spaces.Dict) else ()
-
-
-def _names(policy: RainbowPolicy) -> list[str]:
-    """Names of the inputs, in order."""
-    observations = [f"{_OBSERVATIONS}_{key}" for key in _keys(policy)] or [_OBSERVATIONS]
-    return [*observations, _MASKS]
-
-
-def _examples(policy: RainbowPolicy) -> tuple[th.Tensor, ...]:
-    """Two rows of every input."""
-    space = copy.deepcopy(policy.observation_space)  # drawing would move its generator
-    each = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
-    masks = th.ones(2, policy.q_net.n_actions, dtype=th.bool)
-    return (*(th.as_tensor(np.stack([x.sample()] * 2)) for x in each), masks)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from torch import nn
 from sb3_rainbow.masking.conventions import as_action_masks
 from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from sb3_rainbow.network.shared_memory import AsVector, separate
+from sb3_rainbow.network.shared_memory import AsVector
 from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, ObsArray
 
 # Optimizers that have one kernel for all parameters: a quarter of the time of one per parameter
@@ -35,17 +35,12 @@ class RainbowPolicy(AsVector, BasePolicy):
     then the ones that :class:`~sb3_rainbow.Rainbow` hands over from its own constructor.
 
     Args:
-        observation_space: Observation space.
-        action_space: Action space.
-        lr_schedule: learning rate schedule; ``lr_schedule(1)`` is the initial rate.
+        lr_schedule: ``lr_schedule(1)`` is the initial rate.
         net_arch: sizes of the hidden layers, or ``dict(shared=[...], streams=[...])``; [64, 64],
             none after ``NatureCNN``, streams of 512 after ``NatureConvolutions``.
-        activation_fn: activation function.
         features_extractor_class: features extractor to use; None for the policy's own.
-        features_extractor_kwargs: its keyword arguments.
         normalize_images: whether to divide images by 255.
-        optimizer_class: optimizer to use, Adam by default.
-        optimizer_kwargs: its keyword arguments besides the learning rate.
+        optimizer_kwargs: the optimizer's arguments besides the learning rate.
         noisy_layers: ``"last_two"``, ``"head"`` or ``"all"``.
         dueling: see ``Rainbow``, as for the parameters that follow.
 
@@ -163,15 +158,6 @@ class RainbowPolicy(AsVector, BasePolicy):
             for p in stale:
                 self.optimizer.state.pop(p, None)
 
-    def __getstate__(self) -> dict[str, Any]:
-        self.separate_moments()
-        return self.__dict__.copy()
-
-    def separate_moments(self) -> None:
-        """Give each of the optimizer's tensors a memory of its own, which pickle stores whole."""
-        states = self.optimizer.state.values()
-        separate(v for s in states for v in s.values() if isinstance(v, th.Tensor))
-
     @property
     def device(self) -> th.device:
         """Where the policy lives."""
@@ -218,20 +204,18 @@ class RainbowPolicy(AsVector, BasePolicy):
             observation = np.asarray(observation)
         obs_tensor, vectorized = self.obs_to_tensor(observation)
         rows = next(iter(obs_tensor.values())) if isinstance(obs_tensor, dict) else obs_tensor
-        n_obs, masks = len(rows), None
+        n_obs = len(rows)
+        masked = {}  # A subclass for envs without masks may have the signature of SB3's.
         if action_masks is not None:
-            n_actions = int(self.q_net.action_space.n)
             given = np.asarray(action_masks)
             if given.ndim == 1:
                 # As sb3-contrib: one observation's mask, or those of a batch one after another
                 given = given.reshape(n_obs, -1) if given.size % n_obs == 0 else given[None]
-            checked = as_action_masks(given, n_obs, n_actions)
-            masks = th.as_tensor(checked, device=self.device)
+            checked = as_action_masks(given, n_obs, int(self.q_net.action_space.n))
+            masked["action_masks"] = th.as_tensor(checked, device=self.device)
         with th.no_grad():
             if not deterministic:
                 self.reset_noise(n_obs)
-            # A subclass for envs without masks may have the signature of SB3's.
-            masked = {} if masks is None else {"action_masks": masks}
             actions = self._predict(obs_tensor, deterministic=deterministic, **masked)
         chosen = actions.cpu().numpy()
         return (chosen if vectorized else chosen.squeeze(axis=0)), state

@@ -1,7 +1,5 @@
 """Rainbow on Stable-Baselines3."""
 
-import io
-import pathlib
 import warnings
 from typing import Any, ClassVar, TypeVar
 
@@ -16,26 +14,14 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
-from sb3_rainbow.learner.denormals import flush_denormals
-from sb3_rainbow.learner.learner import Learner, as_batch
+from sb3_rainbow import settings
+from sb3_rainbow.learner.learner import Learner, as_batch, flush_denormals
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
 from sb3_rainbow.resume.resumable import ResumableAlgorithm, refuse_checkpoint
-from sb3_rainbow.settings import (
-    NETWORK_ARGUMENTS,
-    SettingsMismatchError,
-    as_use_masking,
-    check_settings,
-    check_support_of_file,
-    default_tau,
-    head_and_support,
-    served_by,
-    support_in_file,
-    support_of,
-)
-from sb3_rainbow.type_aliases import Distributional, ObsArray, UseMasking
+from sb3_rainbow.type_aliases import Distributional, ObsArray, SaveFile, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 
@@ -60,14 +46,11 @@ class Rainbow(ResumableAlgorithm):
     on scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
 
     The defaults are for small tasks, of some ten thousand steps, where Hessel et al.'s, which are
-    for 200 million frames of Atari, learn nothing: a higher rate, more updates, a target network
-    that follows sooner, quantiles in the place of a support, and a little noise beside SB3's
-    epsilon, because noise alone tries some actions too seldom. ``Rainbow(..., **HESSEL)`` has
-    theirs (``sb3_rainbow.HESSEL``).
+    for 200 million frames of Atari, learn nothing; ``Rainbow(..., **sb3_rainbow.HESSEL)`` has
+    those.
 
     Args:
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.
-        env: environment to learn from, or the name of a registered one.
         learning_rate: learning rate, or a function of the remaining progress (from 1 to 0).
             ``None`` (default) is 1e-3, with ``CnnPolicy`` 1e-4.
         buffer_size: transitions in the replay buffer, over all envs.
@@ -94,12 +77,9 @@ class Rainbow(ResumableAlgorithm):
         exploration_final_eps: epsilon at the end.
         max_grad_norm: gradient norm to clip to, None for no clipping.
         stats_window_size: episodes to average the logged statistics over.
-        tensorboard_log: folder of the TensorBoard log.
         policy_kwargs: arguments of the policy, such as ``net_arch``, ``noisy_layers``,
             ``optimizer_kwargs=dict(weight_decay=1e-5)``.
-        verbose: 0 for no output, 1 for information, 2 for debugging.
         seed: seed of all random generators.
-        device: torch device.
         double_q: choose the action at t + n with the online network.
         dueling: value and advantage streams.
         prioritized: draw transitions in proportion to their losses; uniformly if False. ``None``
@@ -120,7 +100,6 @@ class Rainbow(ResumableAlgorithm):
         use_masking: "auto" uses ``action_masks()`` where the env has it.
         cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in a sixth to a third
             of the time of torch's operations.
-        _init_setup_model: whether to build the network at the creation of the instance.
 
     Raises:
         ValueError: for parameters out of range, or combinations that cannot work.
@@ -181,7 +160,7 @@ class Rainbow(ResumableAlgorithm):
         _init_setup_model: bool = True,
     ) -> None:
         self._tau_was_chosen = tau is not None
-        prioritized, n_steps = served_by(replay_buffer_class, prioritized, n_steps)
+        prioritized, n_steps = settings.served_by(replay_buffer_class, prioritized, n_steps)
         super().__init__(
             policy,
             env,
@@ -218,13 +197,15 @@ class Rainbow(ResumableAlgorithm):
         self.dueling = dueling
         self.prioritized = prioritized
         self.noisy = noisy
-        self.distributional, self.v_min, self.v_max = head_and_support(distributional, v_min, v_max)
+        self.distributional = distributional
+        self.v_min = v_min
+        self.v_max = v_max
         self.n_atoms = n_atoms
         self.sigma0 = sigma0
         self.alpha = alpha
         self.beta_start = beta_start
         self.beta_end = beta_end
-        self.use_masking = as_use_masking(use_masking)
+        self.use_masking = settings.as_use_masking(use_masking)
         self.cpu_kernels = cpu_kernels
 
         self._n_calls = 0
@@ -239,18 +220,17 @@ class Rainbow(ResumableAlgorithm):
     def _setup_model(self) -> None:
         given = vars(self)  # None, also where load was given it, is the default
         if given["tau"] is None:
-            self.tau = default_tau(self.target_update_interval)
+            self.tau = settings.default_tau(self.target_update_interval)
         if given["learning_rate"] is None:  # for images SB3's: ours was searched on perceptrons
             self.learning_rate = 1e-4 if issubclass(self.policy_class, CnnPolicy) else 1e-3
-        self.distributional, self.v_min, self.v_max = head_and_support(
-            self.distributional, self.v_min, self.v_max
-        )
-        check_settings(self)
-        self.prioritized, self.n_steps = served_by(
+        head = settings.head_and_support(self.distributional, self.v_min, self.v_max)
+        self.distributional, self.v_min, self.v_max = head
+        settings.check_settings(self)
+        self.prioritized, self.n_steps = settings.served_by(
             self.replay_buffer_class, self.prioritized, self.n_steps
         )
-        self.use_masking = as_use_masking(self.use_masking)
-        self._support = support_of(self.distributional, self.v_min, self.v_max)
+        self.use_masking = settings.as_use_masking(self.use_masking)
+        self._support = settings.support_of(*head)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         self.exploration_schedule = LinearSchedule(
@@ -262,35 +242,30 @@ class Rainbow(ResumableAlgorithm):
             self.observation_space,
             self.action_space,
             self.lr_schedule,
-            **{name: getattr(self, name) for name in NETWORK_ARGUMENTS},
+            **{name: getattr(self, name) for name in settings.NETWORK_ARGUMENTS},
             **self.policy_kwargs,
         ).to(self.device)
         self._convert_train_freq()
         self._create_aliases()
-        self._recommend_cpu()
-
-    def _recommend_cpu(self) -> None:
-        """As SB3's PPO and A2C: the GPU waits for each of a small network's many operations."""
+        # As SB3's PPO and A2C: a GPU waits for each of a small network's many operations.
         flat = isinstance(getattr(self.q_net, "features_extractor", None), FlattenExtractor)
         if flat and self.device.type != "cpu":
             warnings.warn(
                 f"{type(self).__name__} with a small network is slower on {self.device.type} "
                 "than on the CPU: pass device='cpu', or set CUDA_VISIBLE_DEVICES to nothing",
-                stacklevel=2,
+                stacklevel=3,
             )
 
     def _make_replay_buffer(self) -> ReplayBuffer:
         if self.replay_buffer_class is None:
             self.replay_buffer_class = PrioritizedReplayBuffer
         buffer_class, size = self.replay_buffer_class, self.buffer_size
-        kwargs: dict[str, Any] = {}
+        kwargs = dict(self.replay_buffer_kwargs)
         if issubclass(buffer_class, PrioritizedReplayBuffer | NStepReplayBuffer):
-            kwargs |= {"n_steps": self.n_steps, "gamma": self.gamma}
+            kwargs = {"n_steps": self.n_steps, "gamma": self.gamma, **kwargs}
         if issubclass(buffer_class, PrioritizedReplayBuffer):
             self.optimize_memory_usage = False  # or SB3 would warn of what its own buffer does
-            kwargs["alpha"] = self.alpha if self.prioritized else 0.0
-        kwargs |= self.replay_buffer_kwargs
-        if issubclass(buffer_class, PrioritizedReplayBuffer):
+            kwargs.setdefault("alpha", self.alpha if self.prioritized else 0.0)
             size = max(size, smallest_buffer(self.n_envs, kwargs["n_steps"]))
         if issubclass(buffer_class, HerReplayBuffer):
             assert self.env is not None, "You must pass an environment when using HerReplayBuffer"
@@ -308,12 +283,7 @@ class Rainbow(ResumableAlgorithm):
     def _create_aliases(self) -> None:
         self.q_net = self.policy.q_net
         self.q_net_target = self.policy.q_net_target
-        self._learner = Learner(
-            self.policy,
-            self.double_q,
-            self.max_grad_norm,
-            self.cpu_kernels,
-        )
+        self._learner = Learner(self.policy, self.double_q, self.max_grad_norm, self.cpu_kernels)
 
     def predict(
         self,
@@ -330,8 +300,7 @@ class Rainbow(ResumableAlgorithm):
 
         Args:
             observation: one observation or a batch.
-            state: passed through (for recurrent policies).
-            episode_start: unused (for recurrent policies).
+            state: passed through, as in SB3's policies that are not recurrent.
             deterministic: greedy actions of the mean weights.
             action_masks: True where allowed, ``(n_actions,)`` or ``(n_envs, n_actions)``.
 
@@ -417,17 +386,15 @@ class Rainbow(ResumableAlgorithm):
             values = learner.diagnostics(batch, priorities)
             for name, value in values.items():
                 self.logger.record(f"train/{name}", value)
-            self._warn_of_support(values.get("clipped_support", 0.0))
-
-    def _warn_of_support(self, clipped: float) -> None:
-        if clipped > _CLIPPED_TO_WARN and not self._warned_of_support:
-            self._warned_of_support = True
-            warnings.warn(
-                f"{100 * clipped:.0f} % of the returns lie outside of the support [{self.v_min}, "
-                f'{self.v_max}]: pass a wider v_min and v_max, or distributional="quantile", which '
-                "needs none",
-                stacklevel=3,
-            )
+            clipped = values.get("clipped_support", 0.0)
+            if clipped > _CLIPPED_TO_WARN and not self._warned_of_support:
+                self._warned_of_support = True
+                warnings.warn(
+                    f"{100 * clipped:.0f} % of the returns lie outside of the support "
+                    f"[{self.v_min}, {self.v_max}]: pass a wider v_min and v_max, or "
+                    'distributional="quantile", which needs none',
+                    stacklevel=2,
+                )
 
     def learn(
         self: SelfRainbow,
@@ -446,7 +413,7 @@ class Rainbow(ResumableAlgorithm):
             ValueError: for masks that the env or the buffer cannot serve.
         """
         if use_masking is not None:
-            self.use_masking = as_use_masking(use_masking)
+            self.use_masking = settings.as_use_masking(use_masking)
         return super().learn(
             total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
         )
@@ -454,7 +421,7 @@ class Rainbow(ResumableAlgorithm):
     @classmethod
     def load(
         cls: type[SelfRainbow],
-        path: str | pathlib.Path | io.BufferedIOBase,
+        path: SaveFile,
         env: GymEnv | None = None,
         device: th.device | str = "auto",
         custom_objects: dict[str, Any] | None = None,
@@ -475,7 +442,7 @@ class Rainbow(ResumableAlgorithm):
             path, env, device, custom_objects, print_system_info, force_reset, **kwargs
         )
         if "target_update_interval" in given and not model._tau_was_chosen:
-            model.tau = default_tau(model.target_update_interval)
+            model.tau = settings.default_tau(model.target_update_interval)
         return model
 
     def set_parameters(
@@ -492,18 +459,14 @@ class Rainbow(ResumableAlgorithm):
         """
         if not isinstance(load_path_or_dict, dict):
             refuse_checkpoint(load_path_or_dict)
-            check_support_of_file(support_in_file(load_path_or_dict), self._support)
+            support = settings.support_in_file(load_path_or_dict)
+            settings.check_support_of_file(support, self._support)
         try:
             super().set_parameters(load_path_or_dict, exact_match, device)
         except RuntimeError as error:
-            raise SettingsMismatchError(
+            raise settings.SettingsMismatchError(
                 f"The checkpoint was saved with other settings than the model's: {error}"
             ) from error
-
-    def get_parameters(self) -> dict[str, dict[str, Any]]:
-        """As SB3's."""
-        self.policy.separate_moments()
-        return super().get_parameters()
 
     def _excluded_save_params(self) -> list[str]:
         own = ("q_net", "q_net_target", "_learner", "_warned_of_missing_masks")

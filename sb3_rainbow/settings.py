@@ -1,12 +1,10 @@
 """Defaults and checks of Rainbow's settings."""
 
-import io
 import json
 import math
 import warnings
 import zipfile
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
@@ -16,7 +14,7 @@ from sb3_rainbow.network.rainbow_network import head_of
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_counts, check_shares
-from sb3_rainbow.type_aliases import Distributional, UseMasking
+from sb3_rainbow.type_aliases import Distributional, SaveFile, UseMasking
 
 # Constructor arguments that Rainbow hands to its policy
 NETWORK_ARGUMENTS = frozenset(
@@ -28,7 +26,7 @@ _SHARES = (
     *("tau", "gamma", "alpha", "beta_start", "beta_end"),
     *("exploration_fraction", "exploration_initial_eps", "exploration_final_eps"),
 )
-DEFAULT_SUPPORT = (-100.0, 100.0)
+_DEFAULT_SUPPORT = (-100.0, 100.0)
 
 HESSEL: dict[str, Any] = {
     "learning_rate": 6.25e-5,
@@ -61,12 +59,9 @@ class SettingsMismatchError(ValueError, RuntimeError):
 def served_by(
     buffer_class: type[ReplayBuffer] | None, prioritized: bool | None, n_steps: int | None
 ) -> tuple[bool, int]:
-    """``prioritized`` and ``n_steps`` for a class of replay buffers.
+    """``prioritized`` and ``n_steps`` for a class of replay buffers, None for Rainbow's own.
 
-    None means the default, or off with a warning if the class cannot do it.
-
-    Args:
-        buffer_class: None for :class:`PrioritizedReplayBuffer`.
+    A setting of None means the default, or off with a warning if the class cannot do it.
 
     Raises:
         ValueError: if the buffer cannot do what was asked for, or nobody could.
@@ -100,11 +95,7 @@ def served_by(
 
 
 def as_use_masking(value: Any) -> UseMasking:
-    """The setting ``use_masking``, with 0, 1 and numpy's booleans as booleans.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """The setting ``use_masking``, with 0, 1 and numpy's booleans as booleans."""
     if value not in ("auto", True, False):
         raise ValueError(f"use_masking must be 'auto', True or False, got {value!r}")
     return value if isinstance(value, str) else bool(value)  # type: ignore[return-value]
@@ -118,11 +109,7 @@ def default_tau(target_update_interval: int | None) -> float:
 def head_and_support(
     distributional: Distributional | None, v_min: float | None, v_max: float | None
 ) -> tuple[Distributional, float, float]:
-    """The head where nobody asked for one, and the support's ends where nobody gave them.
-
-    Raises:
-        ValueError: for one end of the support without the other.
-    """
+    """The head where nobody asked for one, and the support's ends where nobody gave them."""
     uses_support = distributional is None or head_of(distributional) == "categorical"
     if uses_support and (v_min is None) != (v_max is None):
         given, missing = ("v_min", "v_max") if v_max is None else ("v_max", "v_min")
@@ -131,7 +118,7 @@ def head_and_support(
         )
     if distributional is None:
         distributional = "quantile" if v_min is None else "categorical"
-    low, high = DEFAULT_SUPPORT
+    low, high = _DEFAULT_SUPPORT
     return distributional, low if v_min is None else v_min, high if v_max is None else v_max
 
 
@@ -143,7 +130,7 @@ def support_of(
     return None if head == "scalar" else (v_min, v_max) if head == "categorical" else ()
 
 
-def support_in_file(path: str | Path | io.BufferedIOBase) -> tuple[float, ...] | None:
+def support_in_file(path: SaveFile) -> tuple[float, ...] | None:
     """The :func:`support_of` a saved model; None of what is none, which SB3 refuses."""
     file = open_path(path, "r", suffix="zip")
     with nullcontext() if file is path else file:
@@ -158,11 +145,7 @@ def support_in_file(path: str | Path | io.BufferedIOBase) -> tuple[float, ...] |
 def check_support_of_file(
     loaded: tuple[float, ...] | None, support: tuple[float, ...] | None
 ) -> None:
-    """Refuse weights that were trained for another :func:`support_of` than the model's.
-
-    Raises:
-        SettingsMismatchError: if both are known and differ.
-    """
+    """Refuse weights that were trained for another :func:`support_of` than the model's."""
     if loaded is not None and support is not None and tuple(loaded) != support:
         raise SettingsMismatchError(
             f"The checkpoint's support is {list(loaded) or 'none'}, "
@@ -171,11 +154,7 @@ def check_support_of_file(
 
 
 def check_settings(model: Any) -> None:
-    """Refuse settings of a Rainbow that cannot work.
-
-    Raises:
-        ValueError: naming the first setting of the model that cannot work.
-    """
+    """Raise ``ValueError`` for the first setting of a Rainbow that cannot work."""
     check_counts(batch_size=model.batch_size)
     check_shares(**{name: getattr(model, name) for name in _SHARES})
     if model.max_grad_norm is not None and not model.max_grad_norm > 0.0:

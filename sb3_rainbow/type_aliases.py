@@ -1,5 +1,7 @@
 """Types that the modules of this package exchange."""
 
+import io
+import pathlib
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -14,6 +16,8 @@ Distributional = bool | Literal["categorical", "quantile"]
 # sizes of the hidden layers, or of those that all streams share and those of each stream
 NetArch = list[int] | dict[str, list[int]]
 UseMasking = Literal["auto"] | bool
+# where SB3 saves to and loads from
+SaveFile = str | pathlib.Path | io.BufferedIOBase
 
 
 class PrioritizedReplayBufferSamples(NamedTuple):

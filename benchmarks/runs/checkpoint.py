@@ -19,7 +19,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs import machine
 from benchmarks.runs.store import BROKEN, RunFolder, sync
-from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
+from sb3_rainbow.resume.checkpoint import get_rng_state, set_rng_state
 
 Model = TypeVar("Model", bound=BaseAlgorithm)
 

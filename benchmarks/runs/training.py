@@ -20,7 +20,7 @@ from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder, Recorde
 from benchmarks.runs.checkpoint import RunCallback, Stateful, load_newest
 from benchmarks.runs.experiment import StopRequested
 from benchmarks.runs.store import RunFolder
-from sb3_rainbow.learner.denormals import flush_denormals
+from sb3_rainbow.learner.learner import flush_denormals
 
 
 def learn(

@@ -8,7 +8,7 @@ import torch as th
 from torch.optim import optimizer as torch_optimizer
 
 from sb3_rainbow.fast import learning_kernels as kernels
-from sb3_rainbow.network.shared_memory import join, parts
+from sb3_rainbow.network.shared_memory import share
 
 # Options of torch's Adam that the kernel does not know
 _UNKNOWN = ("amsgrad", "maximize", "decoupled_weight_decay", "differentiable")
@@ -20,13 +20,8 @@ class AdamOnVector:
     """One step of Adam for parameters that are parts of one vector.
 
     The moments become parts of vectors as well. They stay where torch looks for them, entry by
-    entry in the optimizer's state, so that saving, loading and torch's own steps see them.
-
-    Args:
-        parameters: parts of ``vector``, in order.
-        vector: their values.
-        gradient: gradient of ``vector``.
-        gradients: its parts, which are the parameters' gradients.
+    entry in the optimizer's state, so that saving, loading and torch's own steps see them. The
+    ``gradients`` are the parts of ``gradient``, as the parameters are those of ``vector``.
     """
 
     def __init__(
@@ -99,14 +94,10 @@ class AdamOnVector:
         # One address stands for all: copying and pickling separate them all.
         address = tensors[0].data_ptr()
         if address != self._address or not all(map(is_, tensors, self._tensors)):
-            vectors = []
-            for i in range(3):
-                each = tensors[i::3]
-                vectors.append(join(each, like := self.parameters if i < 2 else each))
-                for tensor, part in zip(each, parts(vectors[-1], like), strict=True):
-                    tensor.data = part
+            self._first = share(tensors[0::3], self.parameters).numpy()
+            self._second = share(tensors[1::3], self.parameters).numpy()
+            self._steps = share(tensors[2::3]).numpy()
             self._tensors, self._address = tensors, tensors[0].data_ptr()
-            self._first, self._second, self._steps = (v.numpy() for v in vectors)
         steps = self._steps.tolist()
         return steps.count(steps[0]) == len(steps)
 

@@ -43,11 +43,8 @@ def projected_target(
     v_max: float,
     target: Matrix,
 ) -> None:
-    """As :func:`~sb3_rainbow.network.losses.project_distribution`.
-
-    Args:
-        masses: proportional to the atoms' probabilities at t + k, ``(B, n_atoms)``.
-        target: result, ``(B, n_atoms)``; NaN where a return or discount is no number.
+    """As :func:`~sb3_rainbow.network.losses.project_distribution`, of masses in proportion to the
+    probabilities; NaN where a return or discount is no number.
     """
     batch, n_atoms = masses.shape
     delta_z = (v_max - v_min) / (n_atoms - 1)
@@ -83,12 +80,7 @@ def categorical_slopes(
     slope: Matrix,
 ) -> None:
     """Cross-entropies, Kullback-Leibler divergences, and the slope of the cross-entropies' weighted
-    mean in the logits.
-
-    Args:
-        logits: up to a constant per row, ``(B, n_atoms)``.
-        masses: their exponentials.
-        log_target: logarithm of ``target``; finite where that is 0.
+    mean in the logits, whose exponentials ``masses`` are. ``log_target`` is finite everywhere.
     """
     batch, n_atoms = logits.shape
     for b in range(batch):
@@ -142,11 +134,8 @@ def quantile_slopes(
     priorities: Vector,
     slope: Matrix,
 ) -> None:
-    """As :func:`~sb3_rainbow.network.losses.quantile_losses`; the priorities are the absolute
-    errors of the means.
-
-    Args:
-        slope: result, of the losses' weighted mean in the quantiles, ``(B, N)``.
+    """As :func:`~sb3_rainbow.network.losses.quantile_losses`, with the absolute errors of the means
+    as priorities, and the slope of the losses' weighted mean in the quantiles, ``(B, N)``.
     """
     batch, n = quantiles.shape
     one, share = np.float32(1.0), np.float32(1.0 / n)
@@ -198,13 +187,10 @@ def backward(
     gradient: Vector,
     input_gradient: Matrix,
 ) -> None:
-    """Gradient of the parameters from that of the taken logits, ``slope`` ``(B, n_atoms)``.
+    """Gradients of parameters, but for the sigmas, and of inputs, if these are not ``(0, 0)``.
 
-    Args:
-        gradient: result; of the sigmas :func:`sigma_gradients` makes theirs.
-        hidden: as ``hidden_units`` left it.
-        n_seen: rows that it was given, of which the batch's are the first.
-        input_gradient: result, of the inputs; ``(0, 0)`` where nobody asks.
+    ``slope`` is that of the taken logits ``(B, n_atoms)``. ``hidden`` is as ``hidden_units`` left
+    it, which was given ``n_seen`` rows, the batch's first.
     """
     batch, n_atoms = slope.shape
     n_layers = table.shape[0]

@@ -30,11 +30,7 @@ FAST = {"reassoc", "contract", "nsz", "arcp"}
 
 @njit(cache=True)
 def scale_noise(noise: Matrix, table: Table) -> None:
-    """As :func:`~sb3_rainbow.network.noisy_linear.scale_noise_` and ``share_noise_``, in place.
-
-    Args:
-        noise: ``(B, n)``, each row that of all layers.
-    """
+    """As ``scale_noise_`` and ``share_noise_`` of noisy_linear, in place, of rows of all layers."""
     for b in range(noise.shape[0]):
         row = noise[b]
         for i in range(row.shape[0]):
@@ -101,13 +97,8 @@ def hidden_units(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def noisy_streams(parameters: Vector, noise: Matrix, table: Table, inputs: Matrix) -> Matrix:
-    """The head's outputs, each row under noise of its own: no effective weights are formed.
-
-    Args:
-        noise: ``(B, n)``, as many rows as ``inputs``.
-
-    Returns:
-        shape ``(B, n_streams * n_atoms)``.
+    """The head's outputs ``(B, n_streams * n_atoms)``, each row of ``inputs`` under its own row of
+    ``noise``: no effective weights are formed.
     """
     n_layers, batch = table.shape[0], inputs.shape[0]
     current = inputs
@@ -156,12 +147,7 @@ def all_streams(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def mean_advantages(
-    parameters: Vector,
-    effective: Vector,
-    table: Table,
-    units: Matrix,
-    n_atoms: int,
-    dueling: bool,
+    parameters: Vector, effective: Vector, table: Table, units: Matrix, n_atoms: int, dueling: bool
 ) -> Matrix:
     """Each action's outputs of the head, the mean over its atoms, ``(B, A)``.
 
@@ -194,11 +180,8 @@ def mean_advantages(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def join(streams: Matrix, n_atoms: int, dueling: bool, shifted: bool, logits: Matrix) -> None:
-    """Value and advantages to the logits of every action; ``shifted``, each action's have a maximum
-    of zero.
-
-    Args:
-        logits: result, ``(B, n_actions * n_atoms)``.
+    """Value and advantages to the ``logits`` ``(B, n_actions * n_atoms)``; ``shifted``, each
+    action's have a maximum of zero.
     """
     n_logits = logits.shape[1]
     skipped = n_atoms if dueling else 0
@@ -233,13 +216,10 @@ def best_actions(
     actions: NDArray[np.int64],
     categorical: bool,
 ) -> None:
-    """Allowed action of the highest expectation.
+    """Write to ``actions`` ``(B,)`` the allowed ones of the highest expectation.
 
-    Args:
-        masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; if not
-            ``categorical``, values themselves, all as likely.
-        masks: ``(B, n_actions)``, or ``(0, 0)`` to allow everything.
-        actions: result, ``(B,)``.
+    The masses ``(B, n_actions * n_atoms)`` are proportional to the atoms' probabilities, or, if not
+    ``categorical``, values that are equally likely. Masks of ``(0, 0)`` allow everything.
     """
     n_atoms = support.shape[0]
     n_actions = masses.shape[1] // n_atoms
@@ -297,11 +277,8 @@ def taken_logits(
     common: Matrix,
     logits: Matrix,
 ) -> None:
-    """Logits of one action per sample: a twelfth of the head's arithmetic for twelve actions.
-
-    Args:
-        common: result, what the weights of every action have in common, ``(n_atoms, inputs)``.
-        logits: result, ``(B, n_atoms)``.
+    """Write the ``logits`` ``(B, n_atoms)`` of one action per sample, a twelfth of the head's
+    arithmetic for twelve actions, and what all actions' weights share, ``common``.
     """
     weight, bias = weights_of(parameters, effective, table, table.shape[0] - 1)
     n_atoms, n_in = common.shape

@@ -1,6 +1,7 @@
 """One gradient step of Rainbow, from a batch of transitions to moved networks."""
 
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -19,17 +20,31 @@ try:
 except ModuleNotFoundError:  # without its folder everything is as it is here, slower
     Shortcuts = None  # type: ignore[assignment, misc]
 
+# A normal number, whatever the mode at import, whose tenth is denormal
+_SMALL = 3e-308
+
+
+@contextmanager
+def flush_denormals() -> Iterator[None]:
+    """Compute with denormal numbers as with zero in this thread; the setting is restored after.
+
+    Atoms far from a sharp distribution have probabilities and gradients below 1e-38, where float32
+    becomes denormal and many processors take a hundred cycles a product. No value that matters is
+    so small. Torch's worker threads are not reached: ``torch.set_num_threads(1)`` gives the full
+    effect. Without effect where the processor has no such mode.
+    """
+    changes = _SMALL * 0.1 != 0.0 and th.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        if changes:
+            th.set_flush_denormal(False)
+
 
 class Learner:
-    """Moves a policy's networks.
+    """Moves a policy's networks, with ``cpu_kernels`` by compiled kernels where they can.
 
     ``double_q`` and ``max_grad_norm`` may change between two updates.
-
-    Args:
-        policy: whose networks and optimizer to work on.
-        double_q: double Q-learning.
-        max_grad_norm: gradient norm to clip to, None for no clipping.
-        cpu_kernels: whether compiled kernels take over where they can.
     """
 
     def __init__(
@@ -58,18 +73,16 @@ class Learner:
         """One optimizer step, with fresh and independent noise in both networks.
 
         Args:
-            batch: what to learn from.
             tau: how far the target network moves after it, None for not at all.
 
         Returns:
             mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
-        kernels = self.kernels()
+        kernels, optimizer = self.kernels(), self.policy.optimizer
         if kernels is None:
             result = self._update(batch)
         else:
-            settings = self.double_q, self.max_grad_norm
-            result = kernels.update(batch, self.policy.optimizer, *settings)
+            result = kernels.update(batch, optimizer, self.double_q, self.max_grad_norm)
         if tau is not None:
             self.move_target(tau)
         return result
@@ -141,12 +154,8 @@ class Learner:
 
 
 def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
-    """Convert a sample of any replay buffer to a batch.
-
-    Args:
-        samples: sample of the buffer.
-        gamma: discount of samples that bring none.
-        masking: whether the masks of the sample, if any, count.
+    """Convert a sample of any replay buffer to a batch; ``gamma`` serves those without discounts,
+    and masks count with ``masking`` alone.
     """
     discounts, weights = (getattr(samples, name, None) for name in ("discounts", "weights"))
     n = len(samples.rewards)

@@ -7,7 +7,6 @@ from torch.nn import functional as F
 
 from sb3_rainbow.network.losses import (
     categorical_losses,
-    huber_losses,
     mask_q_values,
     project_distribution,
     quantile_losses,
@@ -20,19 +19,13 @@ from sb3_rainbow.type_aliases import Batch
 class Target(NamedTuple):
     """What the online network should predict, and what the logs need. B: batch size."""
 
-    values: th.Tensor
-    """Distribution over the atoms, or quantiles, ``(B, N)``, or scalar ``(B, 1)``."""
-    next_actions: th.Tensor
-    """Actions chosen at t + k, ``(B, 1)``."""
-    next_values: th.Tensor
-    """The same at t + k, before discounting."""
+    values: th.Tensor  # distribution over the atoms, or quantiles, (B, N), or scalar (B, 1)
+    next_actions: th.Tensor  # chosen at t + k, (B, 1)
+    next_values: th.Tensor  # as values, at t + k, before discounting
 
 
 def td_target(
-    q_net: RainbowNetwork,
-    q_net_target: RainbowNetwork,
-    batch: Batch,
-    double_q: bool,
+    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
 ) -> Target:
     """n-step target (Hessel et al. 2018, section "The Integrated Agent"), without gradients.
 
@@ -78,15 +71,12 @@ def td_losses(
     if q_net.head == "quantile":
         errors = taken.detach().mean(dim=1) - target.mean(dim=1)
         return quantile_losses(taken, target), errors.abs()
-    losses = huber_losses(taken[:, 0], target[:, 0])
+    losses = F.smooth_l1_loss(taken[:, 0], target[:, 0], reduction="none")
     return losses, (taken - target)[:, 0].detach().abs()
 
 
 def mean_loss(
-    q_net: RainbowNetwork,
-    q_net_target: RainbowNetwork,
-    batch: Batch,
-    double_q: bool,
+    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
 ) -> tuple[th.Tensor, th.Tensor]:
     """Importance-weighted mean of the losses, scalar with gradient, and priorities ``(B,)``."""
     target = td_target(q_net, q_net_target, batch, double_q)
@@ -95,14 +85,6 @@ def mean_loss(
 
 
 def of_actions(logits: th.Tensor, actions: th.Tensor) -> th.Tensor:
-    """The head's outputs for one action of each sample.
-
-    Args:
-        logits: shape ``(B, A, N)``.
-        actions: shape ``(B, 1)``, int64.
-
-    Returns:
-        the rows of these actions, ``(B, N)``.
-    """
+    """The head's outputs ``(B, N)`` for one action ``(B, 1)`` of each sample, of ``(B, A, N)``."""
     rows = actions.unsqueeze(-1).expand(-1, 1, logits.shape[2])
     return logits.gather(1, rows).squeeze(1)

@@ -21,8 +21,8 @@ class ActionMaskError(ValueError):
     """Masks that an environment should not have given."""
 
 
+# What every wrapper of Gymnasium's has itself
 _OWN = {"env", "_action_space", "_observation_space", "_metadata", "_cached_spec"}
-"""What every wrapper of Gymnasium's has itself."""
 
 
 class TerminalActionMask(gym.Wrapper):
@@ -33,9 +33,6 @@ class TerminalActionMask(gym.Wrapper):
     Rainbow wraps the envs of a ``DummyVecEnv`` by itself. In a ``SubprocVecEnv`` they live in other
     processes: wrap them there, ``make_vec_env(..., wrapper_class=TerminalActionMask)``. Everything
     else passes through; setting an attribute sets it on the layer below that has it.
-
-    Args:
-        env: an env with a method ``action_masks``.
     """
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -108,22 +105,19 @@ def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np
 def with_terminal_observations(
     obs: ObsArray, dones: NDArray, infos: list[dict[str, Any]], normalizer: VecNormalize | None
 ) -> ObsArray:
-    """Observations after the step, those of ended episodes from ``infos``; a copy.
+    """A copy of unnormalized observations after the step, with those that episodes ended in.
 
-    Args:
-        obs: as the VecEnv returned them (unnormalized), ``(n_envs, ...)``, or a dict of such.
-        dones: which episodes ended, ``(n_envs,)``.
-        infos: hold ``"terminal_observation"``.
-        normalizer: undoes its normalization of the terminal observations.
+    The normalizer undoes what it did to ``info["terminal_observation"]``.
     """
     result = {k: v.copy() for k, v in obs.items()} if isinstance(obs, dict) else obs.copy()
+    parts: Any = result if isinstance(result, dict) else {None: result}
     for env in np.flatnonzero(dones):
         terminal = infos[env].get("terminal_observation")
         if terminal is None:
             continue
         if normalizer is not None:
             terminal = normalizer.unnormalize_obs(terminal)
-        for key, part in result.items() if isinstance(result, dict) else [(None, result)]:
+        for key, part in parts.items():
             value = terminal if key is None else terminal[key]
             whole = part.dtype.kind in "biu"  # a normalizer's way there and back rounds
             part[env] = np.rint(np.asarray(value)) if whole else value
@@ -133,21 +127,12 @@ def with_terminal_observations(
 def with_terminal_masks(
     masks: NDArray[np.bool_], dones: NDArray, infos: list[dict[str, Any]]
 ) -> tuple[NDArray[np.bool_], bool]:
-    """Masks after the step, those of truncated episodes from ``infos``.
-
-    Args:
-        masks: of the current states, ``(n_envs, n_actions)``.
-        dones: which episodes ended, ``(n_envs,)``.
-        infos: hold ``"terminal_action_mask"``.
-
-    Returns:
-        a copy, and whether a truncated episode came without its mask.
+    """A copy of the masks ``(n_envs, n_actions)`` after the step, with those of the states that
+    were truncated, and whether one of them is unknown.
 
     Raises:
         ActionMaskError: for a mask of another shape, or one that allows nothing.
     """
-    if not dones.any():
-        return masks, False
     masks = masks.copy()
     lost = False
     for env in np.flatnonzero(dones):

@@ -14,13 +14,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_rainbow.masking.conventions import (
-    LOST_MASK_WARNING,
-    as_action_masks,
-    capture_terminal_masks,
-    with_terminal_masks,
-    with_terminal_observations,
-)
+from sb3_rainbow.masking import conventions
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.type_aliases import ObsArray, UseMasking
 
@@ -60,7 +54,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         self._masking = supported
         if supported:
             # Only now: who learns without masks may have an env that cannot give them.
-            capture_terminal_masks(self.env)
+            conventions.capture_terminal_masks(self.env)
         self._last_action_masks = self._current_masks() if supported else None
         return prepared
 
@@ -88,7 +82,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     def _current_masks(self) -> NDArray[np.bool_]:
         assert self.env is not None
         n_actions = int(self.action_space.n)
-        return as_action_masks(get_action_masks(self.env), self.n_envs, n_actions)
+        return conventions.as_action_masks(get_action_masks(self.env), self.n_envs, n_actions)
 
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
@@ -110,7 +104,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     def _epsilon_greedy(
         self, actions: NDArray, epsilon: float, action_masks: NDArray | None
     ) -> NDArray:
-        """Each env's action replaced by a random allowed one with probability ``epsilon``."""
+        """Each env's action, or with probability ``epsilon`` a random allowed one."""
         n = actions.size
         explores = np.random.random_sample(n) < epsilon  # noqa: NPY002
         if not explores.any():
@@ -146,15 +140,17 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
             stored_reward = normalizer.get_original_reward()
         next_obs = original_obs
         if dones.any():
-            next_obs = with_terminal_observations(original_obs, dones, infos, normalizer)
+            next_obs = conventions.with_terminal_observations(
+                original_obs, dones, infos, normalizer
+            )
         masks: tuple[NDArray[np.bool_], ...] = ()
         if self._masking:
-            self._last_action_masks = self._current_masks()
-            next_masks, lost = with_terminal_masks(self._last_action_masks, dones, infos)
+            now = self._last_action_masks = self._current_masks()
+            next_masks, lost = conventions.with_terminal_masks(now, dones, infos)
             masks = (next_masks,)
             if lost and not self._warned_of_lost_mask:
                 self._warned_of_lost_mask = True
-                warnings.warn(LOST_MASK_WARNING, stacklevel=2)
+                warnings.warn(conventions.LOST_MASK_WARNING, stacklevel=2)
         assert stored_obs is not None
         replay_buffer.add(stored_obs, next_obs, buffer_action, stored_reward, dones, infos, *masks)
         self._last_obs = new_obs

@@ -6,19 +6,12 @@ from stable_baselines3.common.torch_layers import NatureCNN
 
 
 def gains_by_channels_last(extractor: th.nn.Module) -> bool:
-    """Whether an extractor is faster on images with their channels last, and copes with them.
+    """Whether an extractor is faster with channels last, as on images of Atari's size.
 
     A user's own may have a ``view`` in it, which that order does not allow; a class without one
     says ``channels_last = True``.
     """
     return type(extractor) is NatureCNN or vars(type(extractor)).get("channels_last", False)
-
-
-def put_channels_last(module: th.nn.Module) -> None:
-    """Store the weights of convolutions with channels last: faster on images of Atari's size."""
-    for parameter in module.parameters():
-        if parameter.ndim == 4:
-            parameter.data = parameter.data.contiguous(memory_format=th.channels_last)
 
 
 class NatureConvolutions(NatureCNN):
@@ -29,11 +22,8 @@ class NatureConvolutions(NatureCNN):
 
     Args:
         observation_space: of images, channels first, at least 36 by 36 pixels.
-        features_dim: of ``NatureCNN``'s last layer, which is not here: None.
+        features_dim: of ``NatureCNN``'s last layer, which is not here: None, or a ``ValueError``.
         normalized_image: whether the images are scaled to [0, 1] already.
-
-    Raises:
-        ValueError: if ``features_dim`` is given.
     """
 
     channels_last = True

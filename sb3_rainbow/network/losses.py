@@ -5,13 +5,9 @@ from torch.nn import functional as F
 
 
 def mask_q_values(q_values: th.Tensor, action_masks: th.Tensor | None) -> th.Tensor:
-    """Q-values with forbidden actions at minus infinity, ``(B, A)``.
+    """Q-values ``(B, A)`` with those of actions that masks ``(B, A)`` forbid at minus infinity.
 
     Masks act on expected values: on the logits of a distribution they would only deform it.
-
-    Args:
-        q_values: shape ``(B, A)``.
-        action_masks: shape ``(B, A)``, True where allowed; None allows everything.
     """
     if action_masks is None:
         return q_values
@@ -19,26 +15,17 @@ def mask_q_values(q_values: th.Tensor, action_masks: th.Tensor | None) -> th.Ten
 
 
 def project_distribution(
-    probabilities: th.Tensor,
-    rewards: th.Tensor,
-    discounts: th.Tensor,
-    v_min: float,
-    v_max: float,
+    probabilities: th.Tensor, rewards: th.Tensor, discounts: th.Tensor, v_min: float, v_max: float
 ) -> th.Tensor:
-    """Project ``r + discount * Z`` onto the support (Bellemare et al. 2017, equation 7).
+    """Projections ``(B, N)`` of ``r + discount * Z`` (Bellemare et al. 2017, equation 7).
 
     The lower neighbour is at most the last atom but one: an atom that falls exactly on the grid, or
     is clipped to either end, keeps its whole mass without a special case.
 
     Args:
-        probabilities: distribution of Z over the atoms, shape ``(B, N)``.
+        probabilities: distribution of Z over N evenly spaced atoms, shape ``(B, N)``.
         rewards: n-step returns, shape ``(B, 1)``.
         discounts: gamma^k, and 0 where the episode terminated, shape ``(B, 1)``.
-        v_min: lowest of the N evenly spaced atoms.
-        v_max: highest atom.
-
-    Returns:
-        shape ``(B, N)``, rows sum to 1.
     """
     n_atoms = probabilities.shape[1]
     position = _positions(rewards, discounts, n_atoms, v_min, v_max).clamp(0, n_atoms - 1)
@@ -65,11 +52,7 @@ def _positions(
 
 
 def clipped_share(
-    probabilities: th.Tensor,
-    rewards: th.Tensor,
-    discounts: th.Tensor,
-    v_min: float,
-    v_max: float,
+    probabilities: th.Tensor, rewards: th.Tensor, discounts: th.Tensor, v_min: float, v_max: float
 ) -> th.Tensor:
     """Share of the target's probability mass outside ``[v_min, v_max]``; scalar.
 
@@ -83,30 +66,18 @@ def clipped_share(
 
 
 def categorical_losses(logits: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Cross-entropy of the projected target with the predicted distribution, ``(B,)``.
-
-    Args:
-        logits: of the action taken, shape ``(B, N)``.
-        target: projected distribution, shape ``(B, N)``.
-    """
+    """Cross-entropies ``(B,)`` of projected targets with the taken actions' logits ``(B, N)``."""
     return -(target * F.log_softmax(logits, dim=1)).sum(dim=1)
 
 
 def target_entropies(target: th.Tensor) -> th.Tensor:
-    """Entropy of each sample's projected target: ``(B, N)`` to ``(B,)``.
-
-    No prediction has a smaller cross-entropy.
-    """
+    """Entropies ``(B,)`` of projected targets ``(B, N)``: no cross-entropy is smaller."""
     return -th.special.xlogy(target, target).sum(dim=1)
 
 
 def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Quantile Huber loss with threshold 1 (Dabney et al. 2018, equation 10), ``(B,)``: the mean
-    over the target's samples, summed over the predicted quantiles.
-
-    Args:
-        quantiles: of the action taken, at the midpoints ``(i + 1/2) / N``, shape ``(B, N)``.
-        target: samples of the target's distribution, shape ``(B, M)``.
+    """Quantile Huber losses ``(B,)`` with threshold 1 (Dabney et al. 2018, equation 10): the mean
+    over the target's samples ``(B, M)``, summed over the quantiles ``(B, N)`` of the action taken.
     """
     n = quantiles.shape[1]
     midpoints = (th.arange(n, device=quantiles.device, dtype=quantiles.dtype) + 0.5) / n
@@ -115,8 +86,3 @@ def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
     huber = F.smooth_l1_loss(predicted, wanted, reduction="none")
     tilt = (midpoints[:, None] - (wanted < predicted.detach()).to(quantiles.dtype)).abs()
     return (tilt * huber).mean(dim=2).sum(dim=1)
-
-
-def huber_losses(q_values: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Huber loss with threshold 1 of the Q-values of the actions taken; all ``(B,)``."""
-    return F.smooth_l1_loss(q_values, target, reduction="none")

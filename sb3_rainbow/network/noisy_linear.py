@@ -36,8 +36,6 @@ class NoisyLinear(nn.Module):
     It lies in buffers, which a Polyak average over the parameters leaves alone.
 
     Args:
-        in_features: size of each input.
-        out_features: size of each output.
         sigma0: initial noise scale; every sigma starts at ``sigma0 / sqrt(in_features)``.
         outputs_per_noise: outputs in a row that share their output noise. The quantiles of an
             action do: with noise of their own, their mean, which chooses the action, would hardly
@@ -81,6 +79,16 @@ class NoisyLinear(nn.Module):
         self.epsilon_rows = None
         scale_noise_(self.epsilon_in.normal_())
         share_noise_(scale_noise_(self.epsilon_out.normal_()), self.outputs_per_noise)
+
+    def set_noise(self, epsilon_in: th.Tensor, epsilon_out: th.Tensor) -> None:
+        """Take scaled noise, ``(in,)`` and ``(out,)``, or a row for each row of a batch."""
+        share_noise_(epsilon_out, self.outputs_per_noise)
+        if epsilon_in.ndim == 1:
+            self.epsilon_rows = None
+            self.epsilon_in.copy_(epsilon_in)
+            self.epsilon_out.copy_(epsilon_out)
+        else:
+            self.epsilon_rows = epsilon_in, epsilon_out
 
     def forward(self, inputs: th.Tensor, noisy: bool = True) -> th.Tensor:
         """Outputs ``(..., out_features)`` of ``(..., in_features)``, with noise or without."""

@@ -15,10 +15,10 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_rainbow.network.convolutions import gains_by_channels_last, put_channels_last
+from sb3_rainbow.network.convolutions import gains_by_channels_last
 from sb3_rainbow.network.losses import mask_q_values
-from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, share_noise_, silenced
-from sb3_rainbow.network.shared_memory import AsVector, separate, share
+from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
+from sb3_rainbow.network.shared_memory import AsVector
 from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers
 
 # Where the layers are that a network calls by itself
@@ -37,18 +37,14 @@ class RainbowNetwork(AsVector, BasePolicy):
         features_dim: its number of outputs.
         net_arch: sizes of the hidden layers, which value and advantages share up to the head; or
             ``dict(shared=[...], streams=[...])``, where each of the two then has layers of its own.
-        noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``; of
-            streams, the last of each.
         activation_fn: between the layers, one module for all of them: parameters that it has,
             ``PReLU``'s say, are shared.
         dueling: separate streams for value and advantages (Wang et al. 2016).
         noisy: noisy linear layers (Fortunato et al. 2018).
-        sigma0: initial noise scale.
-        distributional: distribution over returns: ``"categorical"`` or True (Bellemare et al.
-            2017), ``"quantile"`` (Dabney et al. 2018), or False for none.
-        n_atoms: atoms of the support, or quantiles.
-        v_min: lowest atom (categorical only).
-        v_max: highest atom (categorical only).
+        noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``; of
+            streams, the last of each.
+        distributional: ``"categorical"`` or True (Bellemare et al. 2017), ``"quantile"`` (Dabney et
+            al. 2018), or False.
 
     Raises:
         ValueError: for an unknown ``noisy_layers`` or ``distributional``, a ``net_arch`` of
@@ -57,9 +53,6 @@ class RainbowNetwork(AsVector, BasePolicy):
 
     action_space: spaces.Discrete
     support: th.Tensor
-    noise: th.Tensor
-    _noise_addresses: list[int] | None = None
-    _noise_sizes: list[int]
 
     def __init__(
         self,
@@ -109,9 +102,10 @@ class RainbowNetwork(AsVector, BasePolicy):
         self.v_max = v_max
         # A constant, not a weight: what loads or randomizes the weights must not change it.
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
-        self.register_buffer("noise", th.zeros(0), persistent=False)
         if gains_by_channels_last(features_extractor):
-            put_channels_last(features_extractor)
+            for weight in features_extractor.parameters():
+                if weight.ndim == 4:
+                    weight.data = weight.data.contiguous(memory_format=th.channels_last)
         self._build_layers()
         self.reset_noise()
 
@@ -173,67 +167,38 @@ class RainbowNetwork(AsVector, BasePolicy):
         lists = [self._modules.get(name) for name in _LAYERS]
         return [layer for layers in lists if layers is not None for layer in layers.children()]
 
-    def _epsilons(self) -> list[th.Tensor]:
-        """The noise of the layers that draw it as the package's own do, in their order."""
-        layers = [layer for layer in self._own_layers() if _draws_plainly(layer)]
-        return [b for x in layers for b in (x._buffers["epsilon_in"], x._buffers["epsilon_out"])]  # type: ignore[misc]
-
-    def tie_noise(self) -> list[th.Tensor]:
-        """Make the layers' epsilons parts of ``noise``, so that they are drawn in one go.
-
-        Needed again after a layer was replaced, or the network moved or copied.
-
-        Returns:
-            the epsilons.
-        """
-        epsilons = self._epsilons()
-        if [e.data_ptr() for e in epsilons] != self._noise_addresses:
-            with th.inference_mode(False):  # whose tensors nobody could draw into later
-                self.noise = th.cat(epsilons) if epsilons else self.support.new_zeros(0)
-            self._noise_addresses = share(epsilons, self.noise)
-            self._noise_sizes = [e.numel() for e in epsilons]
-        return epsilons
+    def layers_drawn_together(self) -> list[NoisyLinear]:
+        """The own layers whose noise is what :class:`NoisyLinear` draws."""
+        return [
+            layer
+            for layer in self._own_layers()
+            if isinstance(layer, NoisyLinear)
+            and type(layer).reset_noise is NoisyLinear.reset_noise
+            and "reset_noise" not in vars(layer)
+        ]
 
     def _layers_called_by_others(self) -> list[NoisyLinear]:
         """Noisy layers inside of wrappers, in the features extractor, or of a subclass's own."""
         own = set(map(id, self._own_layers()))
         return [m for m in self.modules() if isinstance(m, NoisyLinear) and id(m) not in own]
 
-    def __getstate__(self) -> dict[str, Any]:
-        self._separate()
-        return {**self.__dict__, "_noise_addresses": None}
-
-    def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:  # type: ignore[override]
-        """As torch's, of tensors that share no memory."""
-        self._separate()
-        return super().state_dict(*args, **kwargs)
-
-    def _separate(self) -> None:
-        # Pickle would store the whole memory of which a tensor is a part with every part.
-        separate([*self.parameters(), *self._epsilons()])
-
     @th.no_grad()
     def reset_noise(self, n_envs: int = 1) -> None:
-        """Draw new noise for every noisy layer.
+        """Draw new noise for every noisy layer, for each of ``n_envs`` environments its own.
 
-        Args:
-            n_envs: environments to act in, each by noise of its own; 1 for one noise for all rows
-                of a batch, as in an update.
+        With one environment all rows of a batch share a noise, as in an update.
         """
-        if self.tie_noise():
-            drawn = self.noise if n_envs == 1 else self.noise.new_empty(n_envs, len(self.noise))
-            parts = iter(scale_noise_(drawn.normal_()).split(self._noise_sizes, dim=-1))
-        for layer in self._own_layers():
-            if not isinstance(layer, NoisyLinear):
-                continue
-            if _draws_plainly(layer):
-                rows = next(parts), next(parts)
-                share_noise_(rows[1], layer.outputs_per_noise)
-                layer.epsilon_rows = None if n_envs == 1 else rows
-            else:
+        together = self.layers_drawn_together()
+        if together:  # one call of the generator takes a fraction of the time of many
+            sizes = [n for layer in together for n in (layer.in_features, layer.out_features)]
+            shape = (sum(sizes),) if n_envs == 1 else (n_envs, sum(sizes))
+            parts = iter(scale_noise_(self.support.new_empty(shape).normal_()).split(sizes, dim=-1))
+            for layer in together:
+                layer.set_noise(next(parts), next(parts))
+        own = [layer for layer in self._own_layers() if isinstance(layer, NoisyLinear)]
+        for layer in [*own, *self._layers_called_by_others()]:
+            if layer not in together:
                 layer.reset_noise()
-        for layer in self._layers_called_by_others():
-            layer.reset_noise()
 
     def noise_magnitudes(self) -> dict[str, float]:
         """Mean absolute sigma of each noisy layer's weights, by its place among the layers."""
@@ -244,10 +209,8 @@ class RainbowNetwork(AsVector, BasePolicy):
         }
 
     def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
-        """Outputs of the head before value and advantages are joined, for acting, target and loss.
-
-        Returns:
-            shape ``(B, n_streams, n_atoms)``, the value first where there is one.
+        """Outputs of the head ``(B, n_streams, n_atoms)`` before value and advantages are joined,
+        for acting, target and loss; the value first where there is one.
         """
         with nullcontext() if noisy else silenced(self._layers_called_by_others()):
             features = self.extract_features(obs, self.features_extractor)
@@ -323,19 +286,8 @@ class RainbowNetwork(AsVector, BasePolicy):
         return data
 
 
-def _draws_plainly(layer: nn.Module) -> bool:
-    """Whether a layer's noise is what :class:`NoisyLinear` draws."""
-    if not isinstance(layer, NoisyLinear) or "reset_noise" in vars(layer):
-        return False
-    return type(layer).reset_noise is NoisyLinear.reset_noise
-
-
 def head_of(distributional: Distributional) -> Literal["scalar", "categorical", "quantile"]:
-    """What a head predicts.
-
-    Raises:
-        ValueError: for anything but True, False, ``"categorical"`` and ``"quantile"``.
-    """
+    """What a head predicts."""
     if isinstance(distributional, bool):
         return "categorical" if distributional else "scalar"
     if distributional in ("categorical", "quantile"):
@@ -346,12 +298,7 @@ def head_of(distributional: Distributional) -> Literal["scalar", "categorical", 
 
 
 def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
-    """Sizes of the hidden layers that all streams share, and of those of each.
-
-    Raises:
-        ValueError: for anything else than a list of positive sizes, or a dict of such lists with no
-            other keys than ``shared`` and ``streams``.
-    """
+    """Sizes of the hidden layers that all streams share, and of those of each."""
     sizes = net_arch if isinstance(net_arch, dict) else {"shared": net_arch}
     try:
         if not sizes.keys() <= {"shared", "streams"}:

@@ -1,18 +1,14 @@
 """Tensors that are parts of one vector, so that one operation serves them all."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import BaseModel
 
-
-def is_dense(tensor: th.Tensor) -> bool:
-    """Whether a tensor fills its memory without gaps: in order, or with channels last."""
-    return tensor.is_contiguous() or (
-        tensor.ndim == 4 and tensor.is_contiguous(memory_format=th.channels_last)
-    )
+from sb3_rainbow.network.noisy_linear import NoisyLinear
 
 
 def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
@@ -25,42 +21,44 @@ def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
 
 
 @th.no_grad()
-def join(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor]) -> th.Tensor:
-    """Copy tensors into one vector, each with the layout of its counterpart in ``like``."""
-    vector = tensors[0].new_empty(sum(t.numel() for t in tensors))
-    for part, tensor in zip(parts(vector, like), tensors, strict=True):
-        part.copy_(tensor)
+def share(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor] | None = None) -> th.Tensor:
+    """Make float32 tensors parts of a new vector on the CPU, laid out as those in ``like``."""
+    vector = th.empty(sum(t.numel() for t in tensors), dtype=th.float32)
+    for tensor, part in zip(tensors, parts(vector, like or tensors), strict=True):
+        tensor.data = part.copy_(tensor)
     return vector
 
 
-def share(tensors: Sequence[th.Tensor], vector: th.Tensor) -> list[int]:
-    """Make dense tensors parts of a vector, whose values they have from then on.
-
-    Returns:
-        the tensors' addresses: while those stay, they are parts.
-    """
-    for tensor, part in zip(tensors, parts(vector, tensors), strict=True):
-        tensor.data = part
-    return [tensor.data_ptr() for tensor in tensors]
-
-
 @th.no_grad()
-def separate(tensors: Iterable[th.Tensor]) -> None:
-    """Give each tensor that is a part of a larger memory one of its own.
-
-    A tensor that other processes share on the CPU stays where they look for it.
-    """
+def _separate(tensors: Iterable[th.Tensor]) -> None:
     for tensor in tensors:
         if tensor.device.type == "cpu" and tensor.is_shared():
-            continue
+            continue  # with other processes, which look for it where it is
         if tensor.untyped_storage().nbytes() > tensor.numel() * tensor.element_size():
             tensor.data = tensor.detach().clone()
 
 
 class AsVector(BaseModel):
-    """``parameters_to_vector`` for weights of any memory format."""
+    """A model of SB3's whose weights may have any memory format, and be parts of one vector."""
 
     def parameters_to_vector(self) -> NDArray[np.float32]:
         """All parameters, one after another."""
         flat = [p.detach().reshape(-1) for p in self.parameters()]
         return th.cat(flat).cpu().numpy()
+
+    def separate(self) -> None:
+        """Give each weight, noise and moment a memory of its own: pickle stores memory whole."""
+        optimizer = getattr(self, "optimizer", None)
+        states = optimizer.state.values() if optimizer is not None else ()
+        _separate(v for state in states for v in state.values() if isinstance(v, th.Tensor))
+        noisy = [m for m in self.modules() if isinstance(m, NoisyLinear)]
+        _separate([*self.parameters(), *(e for layer in noisy for e in layer.buffers())])
+
+    def __getstate__(self) -> dict[str, Any]:
+        self.separate()
+        return self.__dict__.copy()
+
+    def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:  # type: ignore[override]
+        """As torch's, of tensors that share no memory."""
+        self.separate()
+        return super().state_dict(*args, **kwargs)

@@ -10,16 +10,9 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_rainbow.replay.kernels import (
-    RUNNING,
-    TERMINATED,
-    TRUNCATED,
-    assemble_windows,
-    complete_windows,
-    importance_weights,
-    scale_priorities,
-)
-from sb3_rainbow.replay.observation_store import ObservationStore, in_single
+from sb3_rainbow.replay import kernels
+from sb3_rainbow.replay.kernels import RUNNING, TERMINATED, TRUNCATED
+from sb3_rainbow.replay.observation_store import ObservationStore, in_single, whole
 from sb3_rainbow.replay.parameters import (
     check_buffer_size,
     check_counts,
@@ -42,9 +35,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
       sample carries its own discount ``gamma ** k``. A truncated episode bootstraps from its
       terminal observation, a terminated one does not.
     - Each observation is stored once, for every dtype and for dicts; the terminal observations,
-      which autoreset would lose, are kept apart. Memory per transition of 12 floats and 12 actions
-      is about 90 bytes.
-    - ``alpha=0`` is uniform replay.
+      which autoreset would lose, are kept apart.
 
     It takes the place of SB3's own buffers::
 
@@ -59,11 +50,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         observation_space: any space that SB3 supports, dicts included.
         action_space: any that SB3 supports; action masks need a discrete one.
         device: where samples go.
-        n_envs: number of environments that add in step.
         optimize_memory_usage: accepted for SB3's sake; observations are always stored once.
         handle_timeout_termination: if False, truncations count as terminations.
         n_steps: rewards summed per sample.
-        gamma: discount factor.
         alpha: exponent of the priorities, from 0 (uniform) to 1 (proportional).
         beta: exponent of the importance-sampling correction, from 0 (none) to 1 (full).
         epsilon: added to every loss, so that no transition is lost for good.
@@ -148,10 +137,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     @property
     def nbytes(self) -> int:
         """Bytes that all of it occupies once it is full, but for terminal observations."""
-        arrays = [self.actions, self.rewards, self.ends]
-        if self.next_action_masks is not None:
-            arrays.append(self.next_action_masks)
-        return self._store.nbytes + self.tree.nbytes + sum(array.nbytes for array in arrays)
+        arrays = [getattr(self, name) for name in _TRIMMED]
+        own = sum(array.nbytes for array in arrays if array is not None)
+        return self._store.nbytes + self.tree.nbytes + own
 
     def add(
         self,
@@ -173,8 +161,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             reward: shape ``(n_envs,)``.
             done: terminated or truncated, ``(n_envs,)``.
             infos: ``"TimeLimit.truncated"`` tells truncations from terminations.
-            next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows
-                all.
+            next_action_masks: allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows all.
 
         Raises:
             ValueError: for a reward that is not finite in float32; nothing is stored then.
@@ -189,7 +176,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             )
         current, following = self._store.cast(obs), self._store.cast(next_obs)
         # Left in the middle, as when someone resets the env
-        self._truncate(self._store.interrupted(current))
+        self.truncate(self._store.interrupted(current))
         pos = self.pos
         if self.full:
             overwritten = pos * self.n_envs + np.arange(self.n_envs, dtype=np.int64)
@@ -216,15 +203,13 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self.full = True
             self.pos = 0
 
-    def truncate(self) -> None:
-        """Truncate the episodes that run, because the env is reset in the middle of them."""
-        self._truncate(np.ones(self.n_envs, bool))
-
-    def _truncate(self, which: NDArray[np.bool_]) -> None:
-        if not self.size() or not which.any():
+    def truncate(self, which: NDArray[np.bool_] | None = None) -> None:
+        """Truncate the episodes that run in all envs, or ``which``, as these are being reset."""
+        if not self.size() or (which is not None and not which.any()):
             return
         newest = (self.pos - 1) % self.buffer_size
-        which &= self.ends[newest] == RUNNING
+        running = self.ends[newest] == RUNNING
+        which = running if which is None else which & running
         for env in np.flatnonzero(which).tolist():
             self.ends[newest, env] = TRUNCATED
             self._store.keep_newest(newest, env)
@@ -247,7 +232,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
 
     def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
         leaves = np.empty(int(self._pending.sum()), dtype=np.int64)
-        count = complete_windows(
+        count = kernels.complete_windows(
             self._pending, ended, newest, self.buffer_size, self.n_steps, leaves
         )
         if count:  # at the top priority, so that each is drawn before long
@@ -263,9 +248,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     ) -> PrioritizedReplayBufferSamples:
         """Draw transitions in proportion to their priorities, with replacement.
 
-        Args:
-            batch_size: number of transitions.
-            env: normalizes observations and rewards with its current statistics.
+        ``env`` normalizes observations and rewards with its current statistics.
 
         Raises:
             ValueError: if no window is complete yet.
@@ -294,20 +277,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             )
         return self._get_samples(indices, env)
 
-    def _get_samples(  # type: ignore[override]
-        self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None
-    ) -> PrioritizedReplayBufferSamples:
-        parts = self._windows(batch_inds, env)
-        parts["weights"] = np.empty(batch_inds.shape[0], dtype=np.float32)
-        importance_weights(batch_inds, self.tree.leaves, self.beta, parts["weights"])
-        tensors: dict[str, Any] = {name: self._to_device(part) for name, part in parts.items()}
-        return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
-
-    def _to_device(self, values: ObsArray) -> th.Tensor | TensorDict:
-        if isinstance(values, dict):
-            return {key: th.from_numpy(part).to(self.device) for key, part in values.items()}
-        return th.from_numpy(values).to(self.device)
-
     def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:
         """Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.
 
@@ -320,7 +289,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         """
         n = indices.shape[0]
         leaves, masses = np.empty(n, dtype=np.int64), np.empty(n)
-        count, largest = scale_priorities(
+        count, largest = kernels.scale_priorities(
             indices,
             np.asarray(losses, dtype=np.float64),
             self.tree.leaves,
@@ -337,12 +306,15 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self.tree.set(leaves[:count], masses[:count])
         self.max_priority = max(self.max_priority, largest)
 
-    def _windows(self, leaves: NDArray[np.int64], env: VecNormalize | None) -> dict[str, ObsArray]:
-        """Transitions by the names of :class:`PrioritizedReplayBufferSamples`."""
-        n = leaves.shape[0]
+    def _get_samples(  # type: ignore[override]
+        self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None
+    ) -> PrioritizedReplayBufferSamples:
+        leaves, n = batch_inds, batch_inds.shape[0]
+        weights = np.empty(n, dtype=np.float32)
+        kernels.importance_weights(leaves, self.tree.leaves, self.beta, weights)
         returns, discounts, dones = (np.empty((n, 1), dtype=np.float32) for _ in range(3))
         last_leaves, next_rows, next_slots = (np.empty(n, dtype=np.int64) for _ in range(3))
-        assemble_windows(
+        kernels.assemble_windows(
             leaves,
             self.rewards,
             self.ends,
@@ -370,12 +342,19 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             "dones": dones,
             "rewards": returns,
             "discounts": discounts,
+            "weights": weights,
         }
         masks = self.next_action_masks
         if masks is not None:
             masks = masks.reshape(-1, masks.shape[-1])
             parts["next_action_masks"] = masks.take(last_leaves, axis=0)
-        return parts
+        tensors: dict[str, Any] = {name: self._to_device(part) for name, part in parts.items()}
+        return PrioritizedReplayBufferSamples(indices=leaves, **tensors)
+
+    def _to_device(self, values: ObsArray) -> th.Tensor | TensorDict:
+        if isinstance(values, dict):
+            return {key: th.from_numpy(part).to(self.device) for key, part in values.items()}
+        return th.from_numpy(values).to(self.device)
 
     def _normalized_returns(
         self, leaves: NDArray[np.int64], env: VecNormalize
@@ -406,8 +385,5 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self._store = ObservationStore.__new__(ObservationStore)
         self._store.restore_state(state["_store"])
         for name in _TRIMMED:
-            used = state[name]
-            if used is not None:
-                whole = np.zeros((self.buffer_size, *used.shape[1:]), dtype=used.dtype)
-                whole[: len(used)] = used
-                setattr(self, name, whole)
+            if state[name] is not None:
+                setattr(self, name, whole(state[name], self.buffer_size))

@@ -11,13 +11,10 @@ from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 class PrioritizedReplayCallback(BaseCallback):
     """Feed the priorities of a ``PrioritizedReplayBuffer`` under SB3's own ``DQN``.
 
-    DQN does not report its errors to the buffer. Before each rollout this callback
-    computes the absolute TD errors of the last batch afresh and writes them back. DQN's loss
-    cannot be weighted from outside, so that the importance-sampling correction stays out: keep
-    ``alpha`` moderate, or use :class:`~sb3_rainbow.Rainbow`.
-
-    Args:
-        verbose: as in SB3.
+    DQN does not report its errors to the buffer. Before each rollout this callback computes the
+    absolute TD errors of the last batch afresh and writes them back. DQN's loss cannot be weighted
+    from outside, so that the importance-sampling correction stays out: keep ``alpha`` moderate, or
+    use :class:`~sb3_rainbow.Rainbow`.
     """
 
     model: DQN

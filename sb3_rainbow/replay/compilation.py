@@ -4,8 +4,6 @@ numba compiles a cached kernel anew when its own file changes, but not when a ke
 from another file does. This file stands in both packages; a test holds that it is the same.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys

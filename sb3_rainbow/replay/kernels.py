@@ -17,19 +17,10 @@ def complete_windows(
     n_steps: int,
     leaves: NDArray[np.int64],
 ) -> int:
-    """Collect the transitions whose n-step window is complete after step ``newest`` was stored.
+    """Write to ``leaves`` the transitions whose window is complete once row ``newest`` is stored,
+    after n steps or where an episode ``ended``, and return their number.
 
-    A window is complete after n steps, or earlier where its episode ends.
-
-    Args:
-        pending: stored transitions per env that still wait, ``newest`` included; updated.
-        ended: whether the env's episode ended (terminated or truncated) at ``newest``.
-        newest: row of the last stored step.
-        n_rows: rows of the ring.
-        leaves: receives the completed leaves.
-
-    Returns:
-        how many leaves are complete.
+    ``pending`` counts each env's stored transitions that still wait, ``newest`` included.
     """
     n_envs = pending.shape[0]
     count = 0
@@ -64,11 +55,10 @@ def assemble_windows(
     next_rows: NDArray[np.int64],
     next_slots: NDArray[np.int64],
 ) -> None:
-    """Sum the rewards of each window and find where its final observation is stored.
+    """Sum the rewards of each window, up to the end of its episode, and find its last observation.
 
-    The sum stops at the episode's end, and ``discounts`` is gamma to the number of rewards summed.
-    The final observation is in the boundary store (``next_slots >= 0``) where the episode ended or
-    the step is the newest of all, else in the following row.
+    That is in the boundary store (``next_slots >= 0``) where the episode ended or the step is the
+    newest of all, else in the following row. A discount is gamma to the number of rewards summed.
     """
     n_rows, n_envs = rewards.shape
     for i in range(leaves.shape[0]):
@@ -113,32 +103,6 @@ def importance_weights(
 
 
 @njit(cache=True)
-def gather_observations(
-    rows: NDArray[np.uint8],
-    boundary: NDArray[np.uint8],
-    leaves: NDArray[np.int64],
-    next_rows: NDArray[np.int64],
-    next_slots: NDArray[np.int64],
-    current: NDArray[np.uint8],
-    following: NDArray[np.uint8],
-) -> None:
-    """Copy current and final observations, as bytes, so that one kernel serves every dtype."""
-    width = rows.shape[1]
-    for i in range(leaves.shape[0]):
-        leaf = leaves[i]
-        for j in range(width):
-            current[i, j] = rows[leaf, j]
-        slot = next_slots[i]
-        if slot >= 0:
-            for j in range(width):
-                following[i, j] = boundary[slot, j]
-        else:
-            row = next_rows[i]
-            for j in range(width):
-                following[i, j] = rows[row, j]
-
-
-@njit(cache=True)
 def scale_priorities(
     leaves: NDArray[np.int64],
     losses: NDArray[np.float64],
@@ -148,10 +112,8 @@ def scale_priorities(
     kept_leaves: NDArray[np.int64],
     kept_masses: NDArray[np.float64],
 ) -> tuple[int, float]:
-    """``(loss + epsilon) ** alpha`` of the leaves that are still filled.
-
-    Returns:
-        their number (-1 if a loss is negative, infinite or NaN) and the largest priority.
+    """``(loss + epsilon) ** alpha`` of the leaves that are still filled; returns their number and
+    the largest priority, or -1 and the loss that is negative, infinite or NaN.
     """
     count = 0
     largest = 0.0

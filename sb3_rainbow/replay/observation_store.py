@@ -6,7 +6,6 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sb3_rainbow.replay.kernels import gather_observations
 from sb3_rainbow.type_aliases import ObsArray
 
 # One store for plain observations, one per key for dicts.
@@ -20,13 +19,7 @@ class ObservationStore:
 
     The observation after a step is the next row's, save in two cases, for which a growing boundary
     store holds it: where an episode ended (autoreset replaces its last observation) and at the
-    newest step of all.
-
-    Args:
-        n_rows: steps in the ring.
-        n_envs: environments per step.
-        observation_space: any space that SB3 supports.
-        obs_shape: its shape, or a dict of shapes, as SB3's buffers compute it.
+    newest step of all. ``obs_shape`` is the space's, as SB3's buffers compute it.
     """
 
     def __init__(
@@ -38,7 +31,14 @@ class ObservationStore:
     ) -> None:
         self.n_rows = n_rows
         self.n_envs = n_envs
-        self._layout = _layout(observation_space, obs_shape)
+        self._layout: dict[str, tuple[tuple[int, ...], np.dtype]] = {}
+        if isinstance(observation_space, spaces.Dict):
+            assert isinstance(obs_shape, dict)
+            for key, part in observation_space.spaces.items():
+                self._layout[key] = obs_shape[key], np.dtype(part.dtype)
+        else:
+            assert isinstance(obs_shape, tuple)
+            self._layout[_PLAIN] = obs_shape, np.dtype(observation_space.dtype)
         self._rows = self._zeros((n_rows, n_envs))
         # The first n_envs slots hold the newest observations; the others, terminal observations.
         self._boundary = self._zeros((2 * n_envs,))
@@ -127,31 +127,22 @@ class ObservationStore:
             slots[:] = -1
 
     def gather(
-        self,
-        leaves: NDArray[np.int64],
-        next_rows: NDArray[np.int64],
-        next_slots: NDArray[np.int64],
+        self, leaves: NDArray[np.int64], next_rows: NDArray[np.int64], next_slots: NDArray[np.int64]
     ) -> tuple[ObsArray, ObsArray]:
         """Observations at ``leaves``, and those ``next_slots`` (where >= 0) or ``next_rows`` name.
 
         Returns:
             two arrays ``(n, ...)``, or two dicts of such.
         """
-        n = leaves.shape[0]
-        current, following = self._zeros((n,)), self._zeros((n,))
+        current: Rows = {}
+        following: Rows = {}
+        held = np.flatnonzero(next_slots >= 0)
         for key, values in self._rows.items():
-            gather_observations(
-                _as_bytes(values, self.n_rows * self.n_envs),
-                _as_bytes(self._boundary[key], len(self._boundary[key])),
-                leaves,
-                next_rows,
-                next_slots,
-                _as_bytes(current[key], n),
-                _as_bytes(following[key], n),
-            )
-        if _PLAIN in current:
-            return current[_PLAIN], following[_PLAIN]
-        return current, following
+            flat = values.reshape(-1, *values.shape[2:])
+            current[key] = flat.take(leaves, axis=0)
+            following[key] = flat.take(next_rows, axis=0)
+            following[key][held] = self._boundary[key][next_slots[held]]
+        return current.get(_PLAIN, current), following.get(_PLAIN, following)
 
     def trimmed_state(self, n_used: int) -> dict[str, Any]:
         """State for pickling, without the rows from ``n_used`` on, which were never written."""
@@ -163,23 +154,17 @@ class ObservationStore:
     def restore_state(self, state: dict[str, Any]) -> None:
         """Undo :meth:`trimmed_state`."""
         self.__dict__.update(state)
-        trimmed, slots = self._rows, self.slots
-        self._rows = self._zeros((self.n_rows, self.n_envs))
-        for key, values in trimmed.items():
-            self._rows[key][: len(values)] = values
+        self._rows = {key: whole(values, self.n_rows) for key, values in self._rows.items()}
+        slots = self.slots
         self.slots = np.full((self.n_rows, self.n_envs), -1, dtype=np.int32)
         self.slots[: len(slots)] = slots
 
 
-def _layout(
-    space: spaces.Space, obs_shape: tuple[int, ...] | dict[str, tuple[int, ...]]
-) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-    """Shape and dtype of one observation in each store."""
-    if isinstance(space, spaces.Dict):
-        assert isinstance(obs_shape, dict)
-        return {key: (obs_shape[key], np.dtype(part.dtype)) for key, part in space.spaces.items()}
-    assert isinstance(obs_shape, tuple)
-    return {_PLAIN: (obs_shape, np.dtype(space.dtype))}
+def whole(used: NDArray, n_rows: int) -> NDArray:
+    """An array of ``n_rows`` rows from its used ones; the others take no memory yet."""
+    result = np.zeros((n_rows, *used.shape[1:]), dtype=used.dtype)
+    result[: len(used)] = used
+    return result
 
 
 def in_single(obs: ObsArray) -> ObsArray:

@@ -20,11 +20,7 @@ def check_shares(**values: Any) -> None:
 
 
 def check_buffer_size(buffer_size: int, n_envs: int, n_steps: int) -> None:
-    """Refuse a buffer that is too small for the environments.
-
-    Raises:
-        ValueError: if not even one window of each env fits in.
-    """
+    """Raise ``ValueError`` for a buffer in which not even one window of each env fits."""
     check_counts(buffer_size=buffer_size)
     if buffer_size < smallest_buffer(n_envs, n_steps):
         raise ValueError(

@@ -100,14 +100,7 @@ def _aligned_zeros(size: int) -> NDArray[np.float64]:
 
 
 class SumTree:
-    """Sum tree: samples indices in proportion to priority, in O(log n).
-
-    Args:
-        capacity: number of leaves.
-
-    Raises:
-        ValueError: if ``capacity`` is not positive.
-    """
+    """Sum tree of ``capacity`` leaves: samples indices in proportion to priority, in O(log n)."""
 
     def __init__(self, capacity: int) -> None:
         if capacity < 1:
@@ -134,20 +127,13 @@ class SumTree:
     def set(self, indices: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Write priorities and renew the sums; of a repeated index the last value counts.
 
-        Args:
-            indices: leaves, shape ``(n,)``, in ``[0, capacity)`` (not checked).
-            values: priorities, shape ``(n,)``, finite and non-negative (not checked).
+        Neither leaves ``(n,)`` nor priorities ``(n,)``, finite and >= 0, are checked.
         """
         _assign(self._tree, self._offsets, indices, values)
 
     def find(self, prefix_sums: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Leaves whose intervals of the cumulated priorities hold the given sums.
-
-        Args:
-            prefix_sums: shape ``(n,)``, each in ``[0, total)``.
-
-        Returns:
-            shape ``(n,)``; never a leaf of priority zero while ``total > 0``.
+        """Leaves ``(n,)`` whose intervals of the cumulated priorities hold sums ``(n,)`` in ``[0,
+        total)``; never a leaf of priority zero while ``total > 0``.
         """
         leaves = np.empty(prefix_sums.shape[0], dtype=np.int64)
         _find(self._tree, self._offsets, prefix_sums.copy(), leaves)

@@ -1,10 +1,14 @@
-"""What a checkpoint holds of the env, and the names of its parts."""
+"""What a checkpoint holds of the env and of the random generators, and the names of its parts."""
 
 import os
+import random
 import warnings
 import zipfile
 from typing import Any
 
+import numpy as np
+import torch as th
+from gymnasium import spaces
 from stable_baselines3.common.vec_env import (
     VecCheckNan,
     VecEnv,
@@ -40,14 +44,41 @@ def is_checkpoint(path: str | os.PathLike[str]) -> bool:
     return members(path) == {MODEL, REPLAY, ENV}
 
 
+def get_rng_state(action_space: spaces.Space) -> dict[str, Any]:
+    """States of Python's, numpy's and torch's global generators and of the model's action space,
+    from which the warm-up draws; picklable.
+    """
+    return {
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002
+        "torch": th.get_rng_state(),
+        # asking a GPU that nothing was drawn on would start it, which a forked process cannot
+        "cuda": th.cuda.get_rng_state_all() if th.cuda.is_initialized() else [],
+        "action_space": action_space.np_random.bit_generator.state,
+    }
+
+
+def set_rng_state(state: dict[str, Any], action_space: spaces.Space) -> None:
+    """Put the generators back to a state of :func:`get_rng_state`."""
+    random.setstate(state["python"])
+    np.random.set_state(state["numpy"])  # noqa: NPY002
+    th.set_rng_state(state["torch"])
+    if state.get("cuda") and len(state["cuda"]) == th.cuda.device_count():
+        th.cuda.set_rng_state_all(state["cuda"])
+    action_space.np_random.bit_generator.state = state["action_space"]
+
+
+def _state_of(env: VecEnv) -> list[str]:
+    """Names of the attributes that hold the state of one of SB3's wrappers, none of others."""
+    states = (names for kind, names in _WRAPPER_STATE.items() if isinstance(env, kind))
+    return [name for names in states for name in names]
+
+
 def env_state(env: VecEnv | None) -> dict[str, Any]:
     """State of the innermost env, None where it gives none, and of SB3's wrappers around it."""
     state: dict[str, Any] = {"env": None, "wrappers": []}
-    if env is None:
-        return state
-    inner = env.unwrapped
-    if hasattr(inner, "get_state"):
-        state["env"] = inner.get_state()
+    if env is not None and hasattr(env.unwrapped, "get_state"):
+        state["env"] = env.unwrapped.get_state()
     while isinstance(env, VecEnvWrapper):
         names = _state_of(env)
         if not names and not isinstance(env, _STATELESS) and state["env"] is not None:
@@ -63,21 +94,20 @@ def env_state(env: VecEnv | None) -> dict[str, Any]:
     return state
 
 
-def _state_of(env: VecEnv) -> list[str]:
-    """Names of the attributes that hold the state of one of SB3's wrappers, none of others."""
-    states = (names for kind, names in _WRAPPER_STATE.items() if isinstance(env, kind))
-    return [name for names in states for name in names]
+def restore_env(env: VecEnv, state: dict[str, Any]) -> None:
+    """Put a state of :func:`env_state` back.
 
-
-def restore_wrappers(env: VecEnv, states: list[dict[str, Any]]) -> None:
-    """Put the state of the wrappers back, outermost first."""
-    for state in states:
-        if not isinstance(env, VecEnvWrapper) or not set(state) <= set(_state_of(env)):
+    Raises:
+        ValueError: if the env is not wrapped as it was, or cannot take a state.
+    """
+    outermost = env
+    for wrapper in state["wrappers"]:
+        if not isinstance(env, VecEnvWrapper) or not set(wrapper) <= set(_state_of(env)):
             raise ValueError(
-                f"The checkpoint holds {', '.join(state) or 'nothing'} of a wrapper, but "
+                f"The checkpoint holds {', '.join(wrapper) or 'nothing'} of a wrapper, but "
                 f"{type(env).__name__} stands in its place: wrap the env as at saving time"
             )
-        for name, value in state.items():
+        for name, value in wrapper.items():
             setattr(env, name, value)
         env = env.venv
     while isinstance(env, VecEnvWrapper):
@@ -87,13 +117,12 @@ def restore_wrappers(env: VecEnv, states: list[dict[str, Any]]) -> None:
                 "it was saved: wrap the env as at saving time"
             )
         env = env.venv
-
-
-def restore_env(env: VecEnv, state: Any) -> None:
-    inner = env.unwrapped
+    if state["env"] is None:
+        return
+    inner = outermost.unwrapped
     if not hasattr(inner, "set_state"):
         raise ValueError(
             f"The checkpoint holds the state of its env, which {type(inner).__name__} cannot take "
             "(no set_state): pass an env of the class it was trained on"
         )
-    inner.set_state(state)
+    inner.set_state(state["env"])

@@ -14,17 +14,9 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 
 from sb3_rainbow.masking.masked_off_policy import MaskedOffPolicyAlgorithm
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.resume.checkpoint import (
-    ENV,
-    MODEL,
-    REPLAY,
-    env_state,
-    is_checkpoint,
-    restore_env,
-    restore_wrappers,
-)
-from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
+from sb3_rainbow.resume import checkpoint
 from sb3_rainbow.settings import SettingsMismatchError
+from sb3_rainbow.type_aliases import SaveFile
 
 SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
 
@@ -36,7 +28,7 @@ def refuse_checkpoint(path: Any) -> None:
     """Raise ``ValueError`` for a checkpoint where the file of a model is meant."""
     if isinstance(path, str | pathlib.Path):
         for name in (path, f"{path}.zip"):  # SB3 adds the ending
-            if is_checkpoint(name):
+            if checkpoint.is_checkpoint(name):
                 raise ValueError(f"{name} is a checkpoint: use load_checkpoint()")
 
 
@@ -60,12 +52,12 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
             total_timesteps, callback, reset_num_timesteps, *args, **kwargs
         )
         if rng_state is not None and not reset_num_timesteps:
-            set_rng_state(rng_state, self.action_space)
+            checkpoint.set_rng_state(rng_state, self.action_space)
         return prepared
 
     def save(
         self,
-        path: str | pathlib.Path | io.BufferedIOBase,
+        path: SaveFile,
         exclude: Iterable[str] | None = None,
         include: Iterable[str] | None = None,
     ) -> None:
@@ -75,24 +67,15 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         (``learn(..., reset_num_timesteps=False)``), and not when it only predicts.
         """
         # A model that was loaded and has not learned since still stands where it was saved.
-        self._rng_state = self._rng_to_resume or get_rng_state(self.action_space)
+        self._rng_state = self._rng_to_resume or checkpoint.get_rng_state(self.action_space)
         try:
             super().save(path, exclude, include)
         finally:
             self._rng_state = None
 
     @classmethod
-    def load(
-        cls: type[SelfResumable],
-        path: str | pathlib.Path | io.BufferedIOBase,
-        *args: Any,
-        **kwargs: Any,
-    ) -> SelfResumable:
-        """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators.
-
-        Raises:
-            ValueError: for a file of :meth:`save_checkpoint`.
-        """
+    def load(cls: type[SelfResumable], path: SaveFile, *args: Any, **kwargs: Any) -> SelfResumable:
+        """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators."""
         refuse_checkpoint(path)
         model = super().load(path, *args, **kwargs)
         saved, model._rng_state = model._rng_state, None
@@ -109,11 +92,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_rng_to_resume"]
 
-    def load_replay_buffer(
-        self,
-        path: str | pathlib.Path | io.BufferedIOBase,
-        truncate_last_traj: bool = True,
-    ) -> None:
+    def load_replay_buffer(self, path: SaveFile, truncate_last_traj: bool = True) -> None:
         """As SB3's ``load_replay_buffer``; the tree and all priorities come along.
 
         Raises:
@@ -140,10 +119,8 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         does not: the wrappers around those (``TimeLimit``, ``Monitor``) do not give theirs.
 
         Call it between rounds of training: outside ``learn``, or in a callback's
-        ``_on_rollout_start``. In ``_on_step`` the current transition is not stored yet.
-
-        Args:
-            path: file to write; it appears whole or not at all.
+        ``_on_rollout_start``. In ``_on_step`` the current transition is not stored yet. The file
+        appears whole or not at all.
         """
         target = pathlib.Path(path)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -151,10 +128,10 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
             parameters = io.BytesIO()
             self.save(parameters)
-            archive.writestr(MODEL, parameters.getvalue())
-            with archive.open(REPLAY, "w", force_zip64=True) as member:
+            archive.writestr(checkpoint.MODEL, parameters.getvalue())
+            with archive.open(checkpoint.REPLAY, "w", force_zip64=True) as member:
                 pickle.dump(self.replay_buffer, member, protocol=pickle.HIGHEST_PROTOCOL)
-            archive.writestr(ENV, pickle.dumps(env_state(self.get_env())))
+            archive.writestr(checkpoint.ENV, pickle.dumps(checkpoint.env_state(self.get_env())))
         os.replace(partial, target)
 
     @classmethod
@@ -171,7 +148,6 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         A ``VecEnv`` without ``get_state()`` and ``set_state()`` starts new episodes instead.
 
         Args:
-            path: file to read.
             env: env as at saving time.
             kwargs: passed to ``load``; a ``seed`` starts all random generators anew, but for those
                 in the state of the env.
@@ -179,17 +155,16 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         Raises:
             ValueError: if the file is no checkpoint, or was saved with other settings.
         """
-        if os.path.exists(path) and not is_checkpoint(path):
+        if os.path.exists(path) and not checkpoint.is_checkpoint(path):
             raise ValueError(
                 f"{path} is no checkpoint of Rainbow; was it written by save()? Then use load()"
             )
         with zipfile.ZipFile(path) as archive:
-            state = pickle.loads(archive.read(ENV))
+            state = pickle.loads(archive.read(checkpoint.ENV))
             resumable = state["env"] is not None
-            model = cls.load(
-                io.BytesIO(archive.read(MODEL)), env=env, force_reset=not resumable, **kwargs
-            )
-            with archive.open(REPLAY) as member, warnings.catch_warnings():
+            file = io.BytesIO(archive.read(checkpoint.MODEL))
+            model = cls.load(file, env=env, force_reset=not resumable, **kwargs)
+            with archive.open(checkpoint.REPLAY) as member, warnings.catch_warnings():
                 # An env that is reset does not go on with the episode that was under way. SB3 warns
                 # of that, and advises what only load_replay_buffer offers.
                 warnings.filterwarnings("ignore", "The last trajectory in the replay buffer")
@@ -197,7 +172,5 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
                 model.load_replay_buffer(buffer, truncate_last_traj=not resumable)
         vec_env = model.get_env()
         assert vec_env is not None
-        restore_wrappers(vec_env, state["wrappers"])
-        if resumable:
-            restore_env(vec_env, state["env"])
+        checkpoint.restore_env(vec_env, state)
         return model

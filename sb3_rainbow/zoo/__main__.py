@@ -51,11 +51,7 @@ def main() -> None:
 
 
 def _register_env(arguments: list[str]) -> None:
-    """Register the environment that the arguments name.
-
-    Raises:
-        ZooError: for an unknown one.
-    """
+    """Register the environment that the arguments name."""
     from sb3_rainbow.zoo.files import ZooError
 
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)

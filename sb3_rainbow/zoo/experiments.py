@@ -20,8 +20,8 @@ from sb3_rainbow.zoo.model_file import read_model, take_statistics
 from sb3_rainbow.zoo.playing import masks_apply
 
 CHECKPOINT = "checkpoint.zip"
+# A trial's attribute: whether the entry that it varies has a support, of discounted returns
 HAS_SUPPORT = "has_support"
-"""A trial's attribute: whether the entry that it varies has a support, of discounted returns."""
 HYPERPARAMS = pathlib.Path(__file__).parent / "hyperparams.yml"
 
 
@@ -38,12 +38,7 @@ class MaskedTrialEvalCallback(TrialEvalCallback, MaskedEvalCallback):
 
 
 class SaveCheckpoint(BaseCallback):
-    """Write a checkpoint every ``save_freq`` calls, over the previous one.
-
-    Args:
-        save_freq: calls of ``env.step()`` in between.
-        path: file to write.
-    """
+    """Write a checkpoint every ``save_freq`` calls of ``env.step()``, over the previous one."""
 
     model: Rainbow
 
@@ -80,8 +75,7 @@ class RainbowExperimentManager(ExperimentManager):
     settings in the file (but for ``--hyperparams``) and with its counters, schedules and random
     generators, up to ``n_timesteps`` in all; a run that has them behind it takes as many again.
 
-    The arguments are those of the zoo's manager; without a ``config``, Rainbow's hyperparameters
-    are the package's.
+    Without a ``config``, Rainbow's hyperparameters are the package's.
     """
 
     def __init__(self, args: argparse.Namespace, algo: str, *rest: Any, **kwargs: Any) -> None:

@@ -79,22 +79,15 @@ def package(
 ) -> pathlib.Path:
     """Evaluate a model and write the folder of its repository, for ``HfApi.upload_folder``.
 
-    ``rainbow-<env_id>.zip`` is the model without what only its training needs, ``README.md`` the
-    model card with command, results and versions, ``results.json`` the results, and
-    ``vec_normalize.zip`` the statistics, if there are any. No file holds a pickle.
+    ``rainbow-<env_id>.zip``, whose path is returned, is the model without what only its training
+    needs, ``README.md`` the model card with command, results and versions, ``results.json`` the
+    results, and ``vec_normalize.zip`` the statistics, if there are any. No file holds a pickle.
 
     Args:
-        model: trained model.
-        env_id: id of the environment.
-        folder: folder to write to; made if missing.
         eval_env: env of the evaluation; the model acts under its masks where it learned under some,
             and a ``VecNormalize`` around it stays in evaluation.
         command: command that trained the model.
-        n_eval_episodes: episodes of the evaluation.
         deterministic: evaluate the greedy policy.
-
-    Returns:
-        the model's file.
 
     Raises:
         ZooError: naming the settings that only a pickle could hold, such as a network's own class;
@@ -148,22 +141,31 @@ def package(
         sb3_rainbow=versions["sb3_rainbow"],
         versions="\n".join(f"| {key} | {value} |" for key, value in versions.items()),
     )
-    card = ModelCard(f"---\n{_card_data(env_id, mean, std).to_yaml()}\n---\n\n{text}")
-    card.save(readme)
+    # what the hub's search, and the zoo's list of trained agents, read
+    data = ModelCardData(
+        library_name="stable-baselines3",
+        tags=[env_id, "deep-reinforcement-learning", "reinforcement-learning", "stable-baselines3"],
+        model_name="Rainbow",
+        eval_results=[
+            EvalResult(
+                task_type="reinforcement-learning",
+                task_name="reinforcement-learning",
+                dataset_type=env_id,
+                dataset_name=env_id,
+                metric_type="mean_reward",
+                metric_name="mean_reward",
+                metric_value=f"{mean:.2f} +/- {std:.2f}",
+            )
+        ],
+    )
+    ModelCard(f"---\n{data.to_yaml()}\n---\n\n{text}").save(readme)
     return path
 
 
 def load_from_hub(repo_id: str, filename: str, trust: bool = False, **kwargs: Any) -> Rainbow:
     """Download a file such as ``rainbow-CartPole-v1.zip`` of organization/name and :func:`load` it.
 
-    Args:
-        repo_id: organization/name.
-        filename: name of the model's file there.
-        trust: True takes a file that ``save`` wrote, too, which **runs its author's code**.
-        kwargs: see :func:`load`.
-
-    Raises:
-        ZooError: if it cannot be loaded.
+    With ``trust`` a file that ``save`` wrote is taken too, which **runs its author's code**.
     """
     return load(hf_hub_download(repo_id, filename), trust, **kwargs)
 
@@ -172,7 +174,6 @@ def load(path: str | os.PathLike[str], trust: bool = False, **kwargs: Any) -> Ra
     """Load a model from a file of unknown origin: nothing of a file of :func:`package` is run.
 
     Args:
-        path: file of the model.
         trust: True takes a file that ``save`` wrote, too. Loading that one **runs its author's
             code** with your rights: it holds pickles, and a pickle calls what it names.
         kwargs: passed to :func:`sb3_rainbow.zoo.model_file.read_model` (``env``, ``device``,
@@ -192,11 +193,8 @@ def load_vec_normalize(
 ) -> VecNormalize:
     """As ``VecNormalize.load``, from a file of unknown origin, for evaluation.
 
-    Args:
-        path: file of the statistics.
-        venv: env to normalize.
-        trust: True takes a file that ``VecNormalize.save`` wrote, too, which **runs its author's
-            code**.
+    With ``trust`` a file that ``VecNormalize.save`` wrote is taken too, which **runs its author's
+    code**.
 
     Raises:
         ZooError: if it cannot be loaded.
@@ -207,23 +205,3 @@ def load_vec_normalize(
         normalizer = VecNormalize.load(os.fspath(path), venv)
         normalizer.training = normalizer.norm_reward = False
         return normalizer
-
-
-def _card_data(env_id: str, mean: float, std: float) -> ModelCardData:
-    """What the hub's search, and the zoo's list of trained agents, read."""
-    return ModelCardData(
-        library_name="stable-baselines3",
-        tags=[env_id, "deep-reinforcement-learning", "reinforcement-learning", "stable-baselines3"],
-        model_name="Rainbow",
-        eval_results=[
-            EvalResult(
-                task_type="reinforcement-learning",
-                task_name="reinforcement-learning",
-                dataset_type=env_id,
-                dataset_name=env_id,
-                metric_type="mean_reward",
-                metric_name="mean_reward",
-                metric_value=f"{mean:.2f} +/- {std:.2f}",
-            )
-        ],
-    )

@@ -128,10 +128,8 @@ def read_model(
     """Read a model that :func:`write_model` wrote.
 
     Args:
-        path: file of the model.
         kind: class of the model.
         env: environment to go on learning in.
-        device: torch device.
         changed: arguments of the constructor that differ from those in the file. Without an ``env``
             the ``buffer_size`` is the smallest, with one the file's, a million at most.
 
@@ -210,11 +208,7 @@ def read_statistics(path: str | os.PathLike[str], venv: VecEnv) -> VecNormalize:
 
 
 def take_statistics(path: pathlib.Path, env: VecEnv) -> None:
-    """Give the ``VecNormalize`` of an env the statistics of a packaged model, if it has some.
-
-    Raises:
-        ZooError: if the env normalizes nothing.
-    """
+    """Give the ``VecNormalize`` of an env the statistics of a packaged model, if it has some."""
     if not path.is_file():
         return
     normalizer = unwrap_vec_normalize(env)
@@ -314,11 +308,7 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _plain(name: str, value: Any) -> Any:
-    """A setting as JSON has it.
-
-    Raises:
-        TypeError: if it has no such form.
-    """
+    """A setting as JSON has it; raises ``TypeError`` if it has no such form."""
     if name in CLASSES and value is not None:
         if value not in CLASSES[name]:
             raise TypeError(value)
@@ -393,11 +383,7 @@ def _read_space(written: dict[str, Any], name: str, arrays: Arrays) -> spaces.Sp
 
 
 def _check_shapes(model: Rainbow, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Refuse weights of another network than the model's settings describe.
-
-    Raises:
-        ZooError: naming one that differs.
-    """
+    """Raise ``ZooError`` for weights of another network than the model's settings describe."""
     # on torch's device without memory, where a network of any size costs nothing
     blank: Any = type("Blank", (model.policy_class,), {"device": th.device("meta")})
     network = {name: getattr(model, name) for name in NETWORK_ARGUMENTS}

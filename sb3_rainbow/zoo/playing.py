@@ -1,7 +1,6 @@
 """Rainbow as the zoo's scripts play a trained model: without a replay buffer, under masks."""
 
 import functools
-import io
 import pathlib
 from typing import Any, ClassVar, TypeVar
 
@@ -11,7 +10,7 @@ from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_suppo
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_rainbow.rainbow import Rainbow
-from sb3_rainbow.type_aliases import ObsArray
+from sb3_rainbow.type_aliases import ObsArray, SaveFile
 from sb3_rainbow.zoo.files import is_model_file, loading
 from sb3_rainbow.zoo.model_file import read_model
 
@@ -28,12 +27,7 @@ class PlayedRainbow(Rainbow):
     played: ClassVar[VecEnv | None] = None
 
     @classmethod
-    def load(
-        cls: type[SelfPlayed],
-        path: str | pathlib.Path | io.BufferedIOBase,
-        *args: Any,
-        **kwargs: Any,
-    ) -> SelfPlayed:
+    def load(cls: type[SelfPlayed], path: SaveFile, *args: Any, **kwargs: Any) -> SelfPlayed:
         """As ``Rainbow.load``, with the smallest replay buffer unless one is asked for.
 
         A packaged file is read without running anything of it.

@@ -1,11 +1,16 @@
-"""Settings of models that learn within a second, batches, policies with a network of one's own."""
+"""Settings of models that learn within a second, toy environments, batches, own networks."""
 
+from collections.abc import Callable
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import nn
 
-from sb3_rainbow import MlpPolicy
+from sb3_rainbow import MlpPolicy, Rainbow
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.type_aliases import Batch
 
@@ -17,6 +22,58 @@ FAST: dict[str, Any] = {
     "device": "cpu",
     "policy_kwargs": {"net_arch": [16]},
 }
+
+
+def make(policy: Any = "MlpPolicy", env: Any = "CartPole-v1", **settings: Any) -> Rainbow:
+    """A small model."""
+    return Rainbow(policy, env, **{**FAST, **settings})
+
+
+class Toy(gym.Env):
+    """Shows and pays what functions of the number of steps say, and is cut after ``length``.
+
+    By default it shows what its space draws, and pays 1.
+    """
+
+    def __init__(
+        self,
+        space: spaces.Space,
+        shown: Callable[[int], Any] | None = None,
+        paid: Callable[[int], float] = lambda step: 1.0,
+        length: int | None = None,
+    ) -> None:
+        self.observation_space, self.action_space = space, spaces.Discrete(2)
+        self.shown, self.paid, self.length = shown, paid, length
+        self.steps = 0
+
+    def _observation(self) -> Any:
+        return self.observation_space.sample() if self.shown is None else self.shown(self.steps)
+
+    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+        self.steps = 0
+        return self._observation(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.steps += 1
+        return self._observation(), self.paid(self.steps), False, self.steps == self.length, {}
+
+
+class Extracting(BaseFeaturesExtractor):
+    """Features by the module that ``build`` makes."""
+
+    def __init__(self, space: spaces.Space, build: Callable[[], nn.Module], size: int) -> None:
+        super().__init__(space, size)
+        self.net = build()
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        features: th.Tensor = self.net(observations)
+        return features
+
+
+def extracting(build: Callable[[], nn.Module], size: int) -> dict[str, Any]:
+    """Arguments of a policy with an extractor of one's own, of so many features."""
+    kwargs = {"build": build, "size": size}
+    return {"features_extractor_class": Extracting, "features_extractor_kwargs": kwargs}
 
 
 def random_batch(
@@ -35,6 +92,14 @@ def random_batch(
         indices=np.arange(n),
         next_action_masks=masks,
     )
+
+
+def make_policy(
+    space: spaces.Space, n_actions: int, kind: type[MlpPolicy] = MlpPolicy, **kwargs: Any
+) -> MlpPolicy:
+    """A policy without its algorithm."""
+    given = {"distributional": True, **kwargs}
+    return kind(space, spaces.Discrete(n_actions), lambda _: 1e-3, **given)
 
 
 def policy_of(network: type[RainbowNetwork]) -> type[MlpPolicy]:

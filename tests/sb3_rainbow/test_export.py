@@ -18,6 +18,10 @@ onnxruntime = pytest.importorskip("onnxruntime")
 SMALL: dict[str, Any] = {"buffer_size": 200, "device": "cpu", "seed": 0}
 
 
+def acrobot(policy: Any = "MlpPolicy", **settings: Any) -> Rainbow:
+    return Rainbow(policy, "Acrobot-v1", **SMALL, **settings)
+
+
 def session(model: Rainbow, path: Path) -> Any:
     to_onnx(model, path)
     return onnxruntime.InferenceSession(path)
@@ -43,13 +47,9 @@ def images() -> FakeImageEnv:
 @pytest.mark.parametrize(
     ("policy", "env", "kwargs"),
     [
-        ("MlpPolicy", "Acrobot-v1", {}),
+        ("MlpPolicy", "Acrobot-v1", {"distributional": True}),
         ("MlpPolicy", "Acrobot-v1", {"distributional": False, "dueling": False, "noisy": False}),
-        (
-            "MlpPolicy",
-            "Acrobot-v1",
-            {"distributional": "quantile", "policy_kwargs": {"net_arch": {"streams": [8]}}},
-        ),
+        ("MlpPolicy", "Acrobot-v1", {"policy_kwargs": {"net_arch": {"streams": [8]}}}),
         ("CnnPolicy", images, {}),
         ("MultiInputPolicy", SimpleMultiObsEnv, {}),
     ],
@@ -78,7 +78,7 @@ def test_a_thousand_actions_in_onnx(
 
 
 def test_masks_may_be_left_out_and_rows_are_any_number(tmp_path: Path) -> None:
-    runtime = session(Rainbow("MlpPolicy", "Acrobot-v1", **SMALL), tmp_path / "policy.onnx")
+    runtime = session(acrobot(), tmp_path / "policy.onnx")
     assert [(i.name, i.shape, i.type) for i in runtime.get_inputs()] == [
         ("observations", ["rows", 6], "tensor(float)")
     ]
@@ -89,15 +89,13 @@ def test_masks_may_be_left_out_and_rows_are_any_number(tmp_path: Path) -> None:
         ("actions", ["rows"]),
         ("q_values", ["rows", 3]),
     ]
+    wrong = {"action_masks": np.ones((2, 4), np.bool_)}
     with pytest.raises(Exception, match="action_masks"):  # ONNX Runtime's own, of another shape
-        runtime.run(None, {
-            "observations": np.zeros((2, 6), np.float32),
-            "action_masks": np.ones((2, 4), np.bool_),
-        })  # fmt: skip
+        runtime.run(None, {"observations": np.zeros((2, 6), np.float32), **wrong})
 
 
 def test_a_program_of_torchs_acts_alike_once_it_is_loaded(tmp_path: Path) -> None:
-    model = Rainbow("MlpPolicy", "Acrobot-v1", **SMALL)
+    model = acrobot()
     th.export.save(to_program(model), tmp_path / "policy.pt2")
     program = th.export.load(tmp_path / "policy.pt2").module()
     observations = drawn(model.observation_space, 50)
@@ -123,17 +121,16 @@ class Stubborn(MlpPolicy):
 
 def test_what_cannot_be_exported_is_one_clear_error(tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
-    branching = Rainbow(
-        "MlpPolicy", "Acrobot-v1", policy_kwargs={"activation_fn": Branching}, **SMALL
-    )
-    with pytest.raises(ExportError, match=r"network of RainbowPolicy cannot be exported: .+"):
-        to_onnx(branching, path)
-    with pytest.raises(ExportError, match=r"Stubborn chooses actions by a _predict of its own"):
-        to_onnx(Rainbow(Stubborn, "Acrobot-v1", **SMALL), path)
-    contrary = Rainbow("MlpPolicy", "Acrobot-v1", **SMALL)
-    contrary.policy.predict = lambda *_, **__: None  # type: ignore[assignment, method-assign]
-    with pytest.raises(ExportError, match=r"RainbowPolicy chooses actions by a predict of its own"):
-        to_onnx(contrary, path)
-    with pytest.raises(ExportError, match="expected a Rainbow model, got DQN"):
-        to_onnx(DQN("MlpPolicy", "CartPole-v1", **SMALL), path)  # type: ignore[arg-type]
+    contrary: Any = acrobot()
+    contrary.policy.predict = lambda *_, **__: None
+    branching = acrobot(policy_kwargs={"activation_fn": Branching})
+    other: Any = DQN("MlpPolicy", "CartPole-v1", **SMALL)
+    for model, said in (
+        (branching, "network of RainbowPolicy cannot be exported: .+"),
+        (acrobot(Stubborn), "Stubborn chooses actions by a _predict of its own"),
+        (contrary, "RainbowPolicy chooses actions by a predict of its own"),
+        (other, "expected a Rainbow model, got DQN"),
+    ):
+        with pytest.raises(ExportError, match=said):
+            to_onnx(model, path)
     assert not path.exists()

@@ -1,7 +1,6 @@
 """Rainbow runs in every combination that SB3's users expect of an off-policy algorithm."""
 
 import inspect
-import warnings
 from typing import Any
 
 import gymnasium as gym
@@ -11,19 +10,18 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.envs import (
-    FakeImageEnv,
-    SimpleMultiObsEnv,
-)
+from stable_baselines3.common.envs import FakeImageEnv, SimpleMultiObsEnv
 from stable_baselines3.common.logger import KVWriter, Logger
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from sb3_rainbow import HESSEL, NoisyLinear, PrioritizedReplayBuffer, Rainbow
 from tests.sb3_rainbow import small
+from tests.sb3_rainbow.small import Toy, extracting
 
-FAST: dict[str, Any] = {**small.FAST, "gradient_steps": 1}
+
+def make(env: Any = "CartPole-v1", policy: str = "MlpPolicy", **settings: Any) -> Rainbow:
+    return small.make(policy, env, **{"gradient_steps": 1, **settings})
 
 
 class Recorder(KVWriter):
@@ -48,15 +46,11 @@ def record(model: Rainbow, n_steps: int, **kwargs: Any) -> dict[str, list[Any]]:
 
 
 def test_returns_beyond_the_support_are_told_once() -> None:
-    narrow = Rainbow("MlpPolicy", "CartPole-v1", v_min=0.0, v_max=1.5, **FAST)
-    with pytest.warns(
-        UserWarning, match=r"outside of the support \[0.0, 1.5\].*quantile"
-    ) as report:
+    narrow, said = make(v_min=0.0, v_max=1.5), r"outside of the support \[0.0, 1.5\].*quantile"
+    with pytest.warns(UserWarning, match=said) as report:
         narrow.learn(900)
     assert len(report) == 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(100)
+    make().learn(100)  # a warning would be an error
 
 
 def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:
@@ -68,35 +62,20 @@ def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:
     assert ours == [*dqn, "use_masking"]
 
 
-class Flags(gym.Env):
-    """Observations of a given space, drawn at random."""
-
-    def __init__(self, space: spaces.Space) -> None:
-        self.observation_space, self.action_space = space, spaces.Discrete(3)
-
-    def reset(self, **kwargs: Any) -> Any:
-        return self.observation_space.sample(), {}
-
-    def step(self, action: int) -> Any:
-        return self.observation_space.sample(), 1.0, bool(self.np_random.random() < 0.1), False, {}
-
-
 @pytest.mark.parametrize(
     ("env", "policy"),
     [
-        (lambda: Flags(spaces.MultiBinary(5)), "MlpPolicy"),
-        (lambda: Flags(spaces.MultiDiscrete([3, 4])), "MlpPolicy"),
-        (lambda: Flags(spaces.Box(-1.0, 1.0, (2, 3), np.float64)), "MlpPolicy"),
-        (lambda: Flags(spaces.Dict(a=spaces.Discrete(3), b=spaces.Box(0, 1))), "MultiInputPolicy"),
+        (lambda: Toy(spaces.MultiBinary(5)), "MlpPolicy"),
+        (lambda: Toy(spaces.MultiDiscrete([3, 4])), "MlpPolicy"),
+        (lambda: Toy(spaces.Box(-1.0, 1.0, (2, 3), np.float64), length=9), "MlpPolicy"),
+        (lambda: Toy(spaces.Dict(a=spaces.Discrete(3), b=spaces.Box(0, 1))), "MultiInputPolicy"),
         (lambda: gym.make("CliffWalking-v1"), "MlpPolicy"),
         (lambda: FakeImageEnv(screen_height=36, screen_width=36, n_channels=1), "CnnPolicy"),
         (lambda: SimpleMultiObsEnv(random_start=False), "MultiInputPolicy"),
     ],
 )
 def test_every_kind_of_observation(env: Any, policy: str) -> None:
-    settings = {**FAST, "policy_kwargs": {}, "buffer_size": 100}
-    model = Rainbow(policy, env(), **settings)
-    model.learn(60)
+    model = make(env(), policy, policy_kwargs={}, buffer_size=100).learn(60)
     vec_env: Any = model.get_env()
     obs: Any = vec_env.reset()
     action, _ = model.predict(obs, deterministic=True)
@@ -104,43 +83,21 @@ def test_every_kind_of_observation(env: Any, policy: str) -> None:
 
 
 def test_custom_extractor_optimizer_and_activation() -> None:
-    class Extractor(BaseFeaturesExtractor):
-        def __init__(self, observation_space: spaces.Space, width: int) -> None:
-            super().__init__(observation_space, features_dim=width)
-            self.net = nn.Sequential(nn.Linear(4, width), nn.BatchNorm1d(width))
-
-        def forward(self, obs: th.Tensor) -> th.Tensor:
-            return self.net(obs)
-
-    model = Rainbow(
-        "MlpPolicy",
-        "CartPole-v1",
-        **{
-            **FAST,
-            "policy_kwargs": {
-                "features_extractor_class": Extractor,
-                "features_extractor_kwargs": {"width": 7},
-                "optimizer_class": th.optim.RMSprop,
-                "optimizer_kwargs": {"alpha": 0.9},
-                "activation_fn": nn.Tanh,
-                "net_arch": [12, 10],
-                "noisy_layers": "all",
-            },
-        },
-    )
-    model.learn(100)
+    kwargs = {
+        **extracting(lambda: nn.Linear(4, 7), 7),
+        "optimizer_class": th.optim.RMSprop,
+        "optimizer_kwargs": {"alpha": 0.9},
+        "activation_fn": nn.Tanh,
+        "net_arch": [12, 10],
+        "noisy_layers": "all",
+    }
+    model = make(policy_kwargs=kwargs).learn(100)
     assert model.q_net.layers[0].in_features == 7
-    # Batch normalization's running means reach the target network, which Polyak does not touch.
-    online = model.q_net.features_extractor.net[1].running_mean  # type: ignore[union-attr, index]
-    target = model.q_net_target.features_extractor.net[1].running_mean  # type: ignore[union-attr, index]
-    assert th.equal(online, target)
 
 
 def test_vec_normalize() -> None:
     env = VecNormalize(make_vec_env("Pendulum-v1", n_envs=2, wrapper_class=Discretize))
-    model = Rainbow("MlpPolicy", env, **FAST)
-    model.learn(450)
-    buffer = model.replay_buffer
+    buffer = make(env).learn(450).replay_buffer
     assert isinstance(buffer, PrioritizedReplayBuffer)
     # Stored as the env gave them, normalized with today's statistics when drawn
     leaves = np.flatnonzero(buffer.tree.leaves)
@@ -170,28 +127,16 @@ class Discretize(gym.ActionWrapper):
 
 
 def test_what_is_logged() -> None:
-    model = Rainbow(
-        "MlpPolicy", "CartPole-v1", learning_rate=lambda p: 1e-3 * p, distributional=True, **FAST
-    )
-    logged = record(model, 300)
-    expected = {
-        "rollout/ep_rew_mean",
-        "rollout/ep_len_mean",
-        "rollout/exploration_rate",
-        "time/fps",
-        "time/total_timesteps",
-        "train/n_updates",
-        "train/loss",
-        "train/learning_rate",
-        "train/max_q",
-        "train/clipped_support",
-        "train/beta",
-        "train/priority_spread",
-        "train/noise_magnitude",
-        "train/noise_magnitude_layer0",
-        "train/noise_magnitude_layer1",
-    }
-    assert expected <= set(logged)
+    logged = record(make(learning_rate=lambda p: 1e-3 * p, distributional=True), 300)
+    for group, names in {
+        "rollout": "ep_rew_mean ep_len_mean exploration_rate",
+        "time": "fps total_timesteps",
+        "train": (
+            "n_updates loss learning_rate max_q clipped_support beta priority_spread "
+            "noise_magnitude noise_magnitude_layer0 noise_magnitude_layer1"
+        ),
+    }.items():
+        assert {f"{group}/{name}" for name in names.split()} <= set(logged)
     assert all(np.isfinite(value) for values in logged.values() for value in values)
     assert logged["train/beta"][0] < 0.5 < logged["train/beta"][-1] <= 1.0
     assert logged["train/learning_rate"][0] > logged["train/learning_rate"][-1]
@@ -199,7 +144,7 @@ def test_what_is_logged() -> None:
 
 
 def test_beta_runs_linearly_from_start_to_end() -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", beta_start=0.2, beta_end=0.8, **FAST)
+    model = make(beta_start=0.2, beta_end=0.8)
     result = []
 
     def note(*_: Any) -> bool:
@@ -217,26 +162,21 @@ def test_beta_runs_linearly_from_start_to_end() -> None:
 
 @pytest.mark.parametrize("noisy", [True, False])
 def test_epsilon_follows_sb3s_schedule_beside_the_noise_or_alone(noisy: bool) -> None:
-    settings: dict[str, Any] = {**FAST, "noisy": noisy}
-    logged = record(Rainbow("MlpPolicy", "CartPole-v1", **settings), 300)
+    logged = record(make(noisy=noisy), 300)
     rates = logged["rollout/exploration_rate"]
     assert rates[0] > rates[-1] == 0.05
     assert ("train/noise_magnitude" in logged) == noisy
-    always = {**settings, "exploration_initial_eps": 1.0, "exploration_final_eps": 1.0}
-    model = Rainbow("MlpPolicy", "CartPole-v1", **always)
-    model.learn(40)
+    model = make(noisy=noisy, exploration_initial_eps=1.0, exploration_final_eps=1.0).learn(40)
     obs = np.tile(np.zeros(4, np.float32), (400, 1))
     actions, _ = model.predict(obs)  # all by chance
     assert 120 < actions.sum() < 280
     assert len(set(model.predict(obs, deterministic=True)[0])) == 1
-    off = {**settings, "exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
-    logged = record(Rainbow("MlpPolicy", "CartPole-v1", **off), 300)
-    assert set(logged["rollout/exploration_rate"]) == {0.0}
+    off = make(noisy=noisy, exploration_initial_eps=0.0, exploration_final_eps=0.0)
+    assert set(record(off, 300)["rollout/exploration_rate"]) == {0.0}
 
 
 def test_hessel_et_als_settings_are_those_of_their_table() -> None:
-    env = make_vec_env("CartPole-v1", n_envs=1)
-    model = Rainbow("MlpPolicy", env, buffer_size=1000, **HESSEL)
+    model = Rainbow("MlpPolicy", "CartPole-v1", buffer_size=1000, **HESSEL)
     assert model.q_net.head == "categorical"
     assert (model.n_atoms, model.v_min, model.v_max, model.n_steps) == (51, -10.0, 10.0, 3)
     assert (model.alpha, model.beta_start, model.tau) == (0.5, 0.4, 1.0)
@@ -244,13 +184,12 @@ def test_hessel_et_als_settings_are_those_of_their_table() -> None:
     assert all(isinstance(layer, NoisyLinear) for layer in model.q_net.layers)
     assert {layer.sigma0 for layer in model.q_net.layers} == {0.5}
     assert model.policy.optimizer.param_groups[0]["eps"] == 1.5e-4
-    assert Rainbow("MlpPolicy", env, buffer_size=1000).learning_rate == 1e-3
+    assert make().learning_rate == 1e-3
 
 
 def test_the_target_moves_at_every_update_or_at_an_interval() -> None:
     def distance(**kwargs: Any) -> float:
-        model = Rainbow("MlpPolicy", "CartPole-v1", **kwargs, **FAST)
-        model.learn(64)
+        model = make(**kwargs).learn(64)
         online = th.nn.utils.parameters_to_vector(model.q_net.parameters())
         target = th.nn.utils.parameters_to_vector(model.q_net_target.parameters())
         return float((online - target).detach().norm())
@@ -270,34 +209,17 @@ def test_a_small_network_on_another_device_is_a_warning() -> None:
 
 def test_more_envs_than_the_target_interval_is_a_warning() -> None:
     with pytest.warns(UserWarning, match=r"number of environments used is greater.*\(2 > 1\)"):
-        Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 2), target_update_interval=1, **FAST)
+        make(make_vec_env("CartPole-v1", 2), target_update_interval=1)
 
 
 def test_training_before_a_window_is_complete_waits() -> None:
-    settings = {**FAST, "learning_starts": 0, "train_freq": 1}
-    model = Rainbow("MlpPolicy", "CartPole-v1", n_steps=5, **settings)
-    model.learn(12)
+    model = make(n_steps=5, learning_starts=0, train_freq=1).learn(12)
     assert model._n_updates == 12 - 4
 
 
-class Counting(gym.Env):
-    """One observation; the reward is the number of the step."""
-
-    observation_space = spaces.Box(0, 1, (1,))
-    action_space = spaces.Discrete(2)
-
-    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
-        self.steps = 0
-        return np.zeros(1, np.float32), {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        self.steps += 1
-        return np.zeros(1, np.float32), float(self.steps), False, False, {}
-
-
 def test_no_return_crosses_a_reset_that_cannot_be_seen() -> None:
-    model = Rainbow("MlpPolicy", Counting(), **{**FAST, "train_freq": 1}, gamma=1.0, n_steps=3)
-    model.learn(15)
+    env = Toy(spaces.Box(0, 1, (1,)), lambda step: np.zeros(1, np.float32), float)
+    model = make(env, train_freq=1, gamma=1.0, n_steps=3).learn(15)
     model.learn(15)
     buffer: Any = model.replay_buffer
     returns = buffer.samples_at(np.arange(12, 16)).rewards.ravel().tolist()
@@ -309,7 +231,7 @@ def test_no_return_crosses_a_reset_that_cannot_be_seen() -> None:
 
 def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
     pytest.importorskip("tensorboard")
-    Rainbow("MlpPolicy", "CartPole-v1", tensorboard_log=str(tmp_path), **FAST).learn(30)
+    make(tensorboard_log=str(tmp_path)).learn(30)
     assert (tmp_path / "Rainbow_1").is_dir()
 
 
@@ -343,13 +265,12 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
 )
 def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **kwargs})
+        make(**kwargs)
 
 
 @pytest.mark.parametrize("cpu_kernels", [True, False])
 def test_freezing_and_freeing_after_the_model_was_made(cpu_kernels: bool) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", cpu_kernels=cpu_kernels, **FAST)
-    model.learn(60)
+    model = make(cpu_kernels=cpu_kernels).learn(60)
     first, last = (next(model.q_net.layers[i].parameters()) for i in (-2, -1))
     for frozen in (True, False):
         model.q_net.layers[-2].requires_grad_(not frozen)
@@ -377,7 +298,7 @@ def test_bad_environments() -> None:
 
 def test_predict_takes_a_tuple_of_numbers_and_names_what_reset_returns() -> None:
     env = gym.make("CartPole-v1")
-    model = Rainbow("MlpPolicy", env, **FAST)
+    model = make(env)
     assert model.predict((0.0, 0.0, 0.0, 0.0), deterministic=True)[0].shape == ()  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="got a tuple"):
         model.predict(env.reset())  # type: ignore[arg-type]

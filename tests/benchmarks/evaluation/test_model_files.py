@@ -17,7 +17,7 @@ from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
 from sb3_rainbow import Rainbow
 from tests.process import ROOT
-from tests.sb3_rainbow.zoo.crafted import tampered
+from tests.sb3_rainbow.zoo.crafted import rewritten, tampered
 
 RESULTS = ROOT / "results"
 POLICIES = sorted(RESULTS.glob("*/runs/rainbow-*-s0/policy.zip"))
@@ -80,6 +80,18 @@ def test_a_strangers_model_asks_for_trust(
     error = capsys.readouterr().err
     assert "runs its author's code when it is loaded; add --trust" in error
     assert not Path("called").exists()
+
+
+def test_a_damaged_model_is_one_error(tmp_path: Path) -> None:
+    Rainbow("MlpPolicy", CoopInsertionEnv(), buffer_size=100, device="cpu").save(tmp_path / "m")
+    for name in ("data", "policy.pth", "pytorch_variables.pth"):
+        half = rewritten(
+            tmp_path / "m.zip",
+            tmp_path / "my.zip",
+            lambda n, c, name=name: c[: len(c) // 2] if n == name else c,
+        )
+        with pytest.raises(BenchmarkError, match="is no model of 'rainbow'"):
+            load_model(half, "rainbow", trust=True)
 
 
 def test_a_policy_beside_other_settings_is_one_error(tmp_path: Path) -> None:

@@ -8,32 +8,26 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, NatureCNN
+from stable_baselines3.common.torch_layers import NatureCNN
 from torch import nn
 
-from sb3_rainbow import Rainbow
 from sb3_rainbow.fast import learning_kernels as kernels
 from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
-from tests.sb3_rainbow.small import FAST, random_batch
+from tests.sb3_rainbow.small import Extracting, make, random_batch
 
 N_ACTIONS = 5
 BOX, IMAGES = spaces.Box(-1, 1, (6,), np.float32), spaces.Box(0, 255, (2, 36, 36), np.uint8)
 
 
-class Convolutions(BaseFeaturesExtractor):
+class Convolutions(Extracting):
     """Small, learning, and nothing that the kernels know."""
 
-    def __init__(self, observation_space: spaces.Space, norm: bool = False) -> None:
-        super().__init__(observation_space, 4 * 17 * 17)
-        self.convolution = nn.Conv2d(2, 4, 3, stride=2)
-        self.norm = nn.BatchNorm2d(4) if norm else nn.Identity()
-
-    def forward(self, obs: th.Tensor) -> th.Tensor:
-        features: th.Tensor = th.relu(self.norm(self.convolution(obs))).flatten(1)
-        return features
+    def __init__(self, space: spaces.Space, norm: type[nn.Module] = nn.Identity) -> None:
+        layers = nn.Conv2d(2, 4, 3, stride=2), norm(4), nn.ReLU(), nn.Flatten()
+        super().__init__(space, lambda: nn.Sequential(*layers), 4 * 17 * 17)
 
 
 def make_learner(
@@ -150,15 +144,14 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
     ids=str,
 )
 def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "policy_kwargs": policy_kwargs})
+    model = make(policy_kwargs=policy_kwargs)
     assert model._learner.kernels() is None
     model.learn(40)
 
 
 @pytest.mark.parametrize("kind", [th.optim.Adam, th.optim.SGD])
 def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
-    model.learn(40)
+    model = make().learn(40)
     model.policy.optimizer = kind(model.q_net.parameters(), lr=1e-3)
     calls: list[Any] = []
     model.policy.optimizer.register_step_post_hook(lambda *_: calls.append(1))
@@ -209,8 +202,7 @@ def test_a_round_that_fails_ends_the_trust() -> None:
 @pytest.mark.parametrize("cpu_kernels", [True, False])
 @pytest.mark.parametrize("settings", [{}, {"distributional": False, "prioritized": False}], ids=str)
 def test_a_batch_of_one(cpu_kernels: bool, settings: dict[str, Any]) -> None:
-    given = {**FAST, "batch_size": 1, "cpu_kernels": cpu_kernels, **settings}
-    model = Rainbow("MlpPolicy", "CartPole-v1", **given)
+    model = make(batch_size=1, cpu_kernels=cpu_kernels, **settings)
     model.learn(60, log_interval=10**6)
     logged = dict(model.logger.name_to_value)
     assert {"train/loss", "train/max_q"} <= set(logged)
@@ -253,7 +245,7 @@ def test_a_layer_whose_weights_are_replaced_counts_and_trains(network: str, laye
 
 @pytest.mark.parametrize("masked", [False, True])
 def test_exploring_actions_are_those_of_the_policy_under_the_same_noise(masked: bool) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", buffer_size=100, sigma0=2.0, seed=0, device="cpu")
+    model = make(sigma0=2.0, policy_kwargs={})
     obs = np.random.default_rng(0).normal(size=(50, 4)).astype(np.float32)
     masks = np.random.default_rng(1).random((50, 2)) < 0.6 if masked else None
     if masks is not None:
@@ -287,11 +279,10 @@ def test_a_target_that_is_no_number_stays_in_its_array(bad: float, where: str) -
 
 @pytest.mark.parametrize("why", ["buffers", "frozen", "large"])
 def test_extractors_that_are_left_to_torch(why: str) -> None:
-    kwargs: dict[str, Any] = {}
+    kwargs = {**SEEN, "net_arch": [400 if why == "large" else 8]}
     if why == "buffers":
-        kwargs["features_extractor_kwargs"] = {"norm": True}
-    width = 400 if why == "large" else 8
-    learner = make_learner(True, **SEEN, net_arch=[width], **kwargs)
+        kwargs["features_extractor_kwargs"] = {"norm": nn.BatchNorm2d}
+    learner = make_learner(True, **kwargs)
     if why == "frozen":
         learner.policy.q_net.features_extractor.requires_grad_(False)
     assert learner.kernels() is None

@@ -7,7 +7,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import sb3_rainbow
-from sb3_rainbow.fast.blas import _libraries, single_blas_thread
+from sb3_rainbow.fast.mlp_update import blas_libraries, single_blas_thread
 from tests.process import python
 
 _PROGRAM = """
@@ -46,7 +46,7 @@ def test_without_the_folder(tmp_path: Path) -> None:
 
 def test_one_thread_inside_and_the_old_number_after() -> None:
     def threads() -> list[int]:
-        return [library.get_num_threads() for library in _libraries()]
+        return [library.get_num_threads() for library in blas_libraries()]
 
     with threadpool_limits(2, user_api="blas"):
         before = threads()

@@ -8,7 +8,7 @@ import pytest
 import torch as th
 
 from sb3_rainbow import Rainbow
-from sb3_rainbow.learner.denormals import flush_denormals
+from sb3_rainbow.learner.learner import flush_denormals
 
 needs_the_mode = pytest.mark.skipif(
     not th.set_flush_denormal(False), reason="the processor has no such mode"

@@ -10,16 +10,14 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import nn
 
 from sb3_rainbow import Rainbow
-from tests.sb3_rainbow.small import FAST
+from tests.sb3_rainbow.small import make
 
 PATHS = pytest.mark.parametrize("kernels", [True, False], ids=["kernels", "torch"])
 
 
 def make_model(kernels: bool, **kwargs: Any) -> Rainbow:
     """On one of the two ways of an update."""
-    plain = {"learning_rate": 1e-4, "gradient_steps": 1}
-    settings: dict[str, Any] = {**FAST, **plain, "cpu_kernels": kernels, **kwargs}
-    return Rainbow("MlpPolicy", "CartPole-v1", **settings)
+    return make(learning_rate=1e-4, gradient_steps=1, cpu_kernels=kernels, **kwargs)
 
 
 def learn(model: Rainbow, total: int = 40) -> Rainbow:

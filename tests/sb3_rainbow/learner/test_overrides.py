@@ -11,14 +11,13 @@ from torch.nn.utils import parametrizations
 
 from sb3_rainbow import MlpPolicy, Rainbow
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from tests.sb3_rainbow.small import FAST, policy_of
+from tests.sb3_rainbow.small import FAST, make, policy_of
 
 ACTIVATIONS = pytest.mark.parametrize("activation", [nn.ReLU, nn.Tanh])
 
 
 def make_model(policy: Any = "MlpPolicy", activation: type[nn.Module] = nn.ReLU) -> Rainbow:
-    kwargs = {"net_arch": [16], "activation_fn": activation}
-    return Rainbow(policy, "CartPole-v1", **{**FAST, "policy_kwargs": kwargs})
+    return make(policy, policy_kwargs={"net_arch": [16], "activation_fn": activation})
 
 
 def calls_during(model: Rainbow, calls: list[Any]) -> tuple[int, int]:
@@ -79,7 +78,7 @@ def test_predict_of_the_algorithm(activation: type[nn.Module]) -> None:
             actions, state = super().predict(*args, **kwargs)
             return np.ones_like(actions), state
 
-    kwargs = {**FAST, "policy_kwargs": {"net_arch": [16], "activation_fn": activation}}
+    kwargs: Any = {**FAST, "policy_kwargs": {"net_arch": [16], "activation_fn": activation}}
     model: Any = Always("MlpPolicy", "CartPole-v1", **kwargs).learn(60)
     assert (model.replay_buffer.actions[20:60] == 1).all()
 
@@ -102,41 +101,28 @@ class OwnLinear(nn.Linear):
         return super().forward(inputs) + 1.0
 
 
-def wrap(net: RainbowNetwork) -> None:
-    net.layers[-1] = Doubled(net.layers[-1])
-
-
-def subclass(net: RainbowNetwork) -> None:
-    net.layers[0] = OwnLinear(4, 16)
-
-
-def activate(net: RainbowNetwork) -> None:
-    net.activation = nn.Sigmoid()
-
-
-def normalize(net: RainbowNetwork) -> None:
-    parametrizations.spectral_norm(net.layers[-1], "weight_mu")
-
-
-def hook(net: RainbowNetwork) -> None:
-    net.layers[-1].register_forward_hook(lambda module, inputs, outputs: outputs * 3.0)
-
-
 def shadow(net: RainbowNetwork) -> None:
     layer: Any = net.layers[-1]
     own = layer.forward
     layer.forward = lambda *args: 5.0 - own(*args)
 
 
-CHANGES = [wrap, subclass, activate, normalize, hook, shadow]
+CHANGES: dict[str, Callable[[RainbowNetwork], Any]] = {
+    "wrap": lambda net: setattr(net.layers, "1", Doubled(net.layers[1])),
+    "subclass": lambda net: setattr(net.layers, "0", OwnLinear(4, 16)),
+    "activate": lambda net: setattr(net, "activation", nn.Sigmoid()),
+    "normalize": lambda net: parametrizations.spectral_norm(net.layers[-1], "weight_mu"),
+    "hook": lambda net: net.layers[-1].register_forward_hook(lambda *given: given[-1] * 3.0),
+    "shadow": shadow,
+}
 
 
-@pytest.mark.parametrize("change", CHANGES)
-def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -> None:
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], Any]) -> None:
     """A model changed under way goes on as one that never had kernels."""
     result = []
     for cpu_kernels in (True, False):
-        model = Rainbow("MlpPolicy", "CartPole-v1", cpu_kernels=cpu_kernels, **FAST)
+        model = make(cpu_kernels=cpu_kernels)
         assert (model._learner.kernels() is not None) == cpu_kernels
         model._learner.act(th.zeros(1, 4), None)
         th.manual_seed(5)
@@ -186,7 +172,7 @@ def test_settings_of_the_update_may_change_after_the_model_was_made(
     name: str, value: Any, kernels: bool
 ) -> None:
     def learned(made: dict[str, Any], changed: dict[str, Any]) -> Any:
-        model = Rainbow("MlpPolicy", "CartPole-v1", cpu_kernels=kernels, **FAST, **made)
+        model = make(cpu_kernels=kernels, **made)
         vars(model).update(changed)
         return model.learn(100).policy.parameters_to_vector()
 
@@ -210,9 +196,29 @@ def test_training_explores_whatever_a_subclass_predicts_by_default() -> None:
     assert asked == {False}
 
 
-def test_a_policy_may_take_deterministic_by_name_alone() -> None:
-    class Named(MlpPolicy):
-        def _predict(self, observation: Any, *, deterministic: bool = True) -> th.Tensor:  # type: ignore[override]
-            return super()._predict(observation, deterministic=deterministic)
+class Named(MlpPolicy):
+    """Takes ``deterministic`` by its name alone."""
 
-    assert Rainbow(Named, "CartPole-v1", **FAST).learn(40)._n_updates > 0
+    def _predict(self, observation: Any, *, deterministic: bool = True) -> th.Tensor:  # type: ignore[override]
+        return super()._predict(observation, deterministic=deterministic)
+
+
+class AsInSB3(MlpPolicy):
+    """Knows nothing of masks."""
+
+    def _predict(self, observation, deterministic=False):  # type: ignore[no-untyped-def, override]
+        return super()._predict(observation, deterministic)
+
+
+class AlgorithmAsInSB3(Rainbow):
+    """Knows nothing of masks either."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):  # type: ignore[no-untyped-def, override]
+        return super().predict(observation, state, episode_start, deterministic)
+
+
+@pytest.mark.parametrize(("kind", "policy"), [(Rainbow, Named), (AlgorithmAsInSB3, AsInSB3)])
+def test_signatures_of_sb3_serve_envs_without_masks(
+    kind: type[Rainbow], policy: type[MlpPolicy]
+) -> None:
+    assert kind(policy, "CartPole-v1", **FAST).learn(40)._n_updates > 0

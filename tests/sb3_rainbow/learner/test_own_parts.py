@@ -14,12 +14,12 @@ from torch import nn
 from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
 from sb3_rainbow.learner.learner import as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from tests.sb3_rainbow.small import FAST, policy_of
+from tests.sb3_rainbow import small
+from tests.sb3_rainbow.small import extracting, policy_of
 
 
-def make(policy: Any = "MlpPolicy", **kwargs: Any) -> Rainbow:
-    settings = {**FAST, "train_freq": 1, "policy_kwargs": {}, **kwargs}
-    return Rainbow(policy, "CartPole-v1", **settings)
+def make(policy: Any = "MlpPolicy", env: Any = "CartPole-v1", **kwargs: Any) -> Rainbow:
+    return small.make(policy, env, **{"train_freq": 1, "policy_kwargs": {}, **kwargs})
 
 
 def test_an_optimizer_keeps_what_is_not_the_networks() -> None:
@@ -69,16 +69,6 @@ def test_what_an_extractor_does_not_train_stays(kernels: bool) -> None:
     assert (model._learner.kernels() is not None) == kernels
 
 
-class Scripted(BaseFeaturesExtractor):
-    def __init__(self, space: spaces.Space) -> None:
-        super().__init__(space, 4)
-        self.part = th.jit.script(nn.Sequential(nn.Flatten()))
-
-    def forward(self, observations: th.Tensor) -> th.Tensor:
-        outputs: th.Tensor = self.part(observations)
-        return outputs
-
-
 class Built(MlpPolicy):
     def _build(self, lr_schedule: Any) -> None:
         self.q_net, self.q_net_target = self.make_q_net(), self.make_q_net()
@@ -114,7 +104,7 @@ def flattened(model: Rainbow) -> None:
 @pytest.mark.parametrize(
     ("policy", "kwargs", "change"),
     [
-        ("MlpPolicy", {"features_extractor_class": Scripted}, None),
+        ("MlpPolicy", extracting(lambda: th.jit.script(nn.Sequential(nn.Flatten())), 4), None),
         (Built, {}, None),
         (Signed, {}, None),
         ("MlpPolicy", {"net_arch": [64] * 3}, tied),
@@ -228,22 +218,19 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
         Rainbow.load(path, tau=2.0)
 
 
-class Viewing(BaseFeaturesExtractor):
+class Viewing(nn.Conv2d):
     """A convolution flattened by ``view``, as in many programs."""
 
-    def __init__(self, observation_space: spaces.Space) -> None:
-        super().__init__(observation_space, 4 * 6 * 6)
-        self.convolution = nn.Conv2d(3, 4, 8, stride=6)
-
-    def forward(self, observations: Any) -> th.Tensor:
-        features = self.convolution(observations)
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        features = super().forward(observations)
         return features.view(features.size(0), -1)
 
 
 def test_an_extractor_that_views_its_images_as_rows() -> None:
     env = FakeImageEnv(2, screen_height=40, screen_width=40, n_channels=3, discrete=True)
-    settings = {**FAST, "policy_kwargs": {"features_extractor_class": Viewing}}
-    assert Rainbow("CnnPolicy", env, **settings).learn(24)._n_updates > 0
+    kwargs = extracting(lambda: Viewing(3, 4, 8, stride=6), 4 * 6 * 6)
+    model = make("CnnPolicy", env, policy_kwargs=kwargs)
+    assert model.learn(24)._n_updates > 0
 
 
 def test_statistics_of_a_normalization_do_not_move_with_the_logs() -> None:
@@ -260,39 +247,28 @@ def test_statistics_of_a_normalization_do_not_move_with_the_logs() -> None:
     assert th.equal(statistics, normalization.running_mean)
 
 
-def test_parts_with_the_signatures_of_sb3_serve_envs_without_masks() -> None:
-    class Policy(MlpPolicy):
-        def _predict(self, observation, deterministic=False):  # type: ignore[no-untyped-def, override]
-            return super()._predict(observation, deterministic)
-
-    class Algorithm(Rainbow):
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):  # type: ignore[no-untyped-def, override]
-            return super().predict(observation, state, episode_start, deterministic)
-
-    assert Algorithm(Policy, "CartPole-v1", learning_starts=10, device="cpu").learn(20)._n_updates
-
-
 class Running(BaseFeaturesExtractor):
-    """Its buffer is of another name; that of the module around it says that it runs."""
+    """Batch normalization, and a buffer of another name: the module around it says that it runs."""
 
     def __init__(self, space: spaces.Space) -> None:
         super().__init__(space, 4)
+        self.norm = nn.BatchNorm1d(4)
         self.running_norm: Any = nn.Module()
         self.running_norm.register_buffer("mean", th.zeros(4))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         if self.training:
             self.running_norm.mean.lerp_(observations.mean(0), 0.1)
-        return observations - self.running_norm.mean
+        normalized: th.Tensor = self.norm(observations - self.running_norm.mean)
+        return normalized
 
 
 def test_running_statistics_reach_the_target_as_in_sb3() -> None:
     model: Any = make(policy_kwargs={"features_extractor_class": Running}, tau=0.01).learn(40)
-    online, target = (
-        net.features_extractor.running_norm.mean for net in (model.q_net, model.q_net_target)
-    )
-    assert online.norm() > 0.0
-    assert th.equal(online, target)
+    online, target = (net.features_extractor for net in (model.q_net, model.q_net_target))
+    assert online.running_norm.mean.norm() > 0.0
+    assert th.equal(online.running_norm.mean, target.running_norm.mean)
+    assert th.equal(online.norm.running_mean, target.norm.running_mean)
 
 
 def test_saving_leaves_shared_memory_shared() -> None:

@@ -1,6 +1,5 @@
 """Masks wherever an action is chosen or valued; a callback stops the training, and it goes on."""
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -21,16 +20,13 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
 from sb3_rainbow import PrioritizedReplayBuffer, Rainbow, TerminalActionMask
+from tests.sb3_rainbow.small import Toy, make
 
 N_ACTIONS = 6
 
 
 class ClockEnv(gym.Env):
-    """The observation is (episode, time); the mask depends on both, and a forbidden action raises.
-
-    :param length: steps of an episode
-    :param truncates: whether it ends by truncation
-    """
+    """Shows (episode, time), on which its mask depends; a forbidden action raises."""
 
     def __init__(self, length: int = 5, truncates: bool = True) -> None:
         self.observation_space = spaces.Box(-1.0, 1e6, (2,), np.float32)
@@ -65,15 +61,7 @@ def mask_at(episode: float, time: float) -> np.ndarray:
 
 
 def small_model(env: gym.Env | VecEnv, **kwargs: Any) -> Rainbow:
-    settings: dict[str, Any] = {
-        "learning_starts": 20,
-        "train_freq": 1,
-        "buffer_size": 1000,
-        "batch_size": 16,
-        "seed": 0,
-        **kwargs,
-    }
-    return Rainbow("MlpPolicy", env, **settings)
+    return make(env=env, **{"train_freq": 1, "buffer_size": 1000, "batch_size": 16, **kwargs})
 
 
 def check_stored_masks(buffer: Any, n_expected: int) -> None:
@@ -104,44 +92,45 @@ def n_drawable(n_steps: int, n_envs: int) -> int:
     return (per_env - waiting) * n_envs
 
 
-class Hidden(ClockEnv):
-    """Its masks have another name, which ``ActionMasker`` is told."""
+class Hidden(Toy):
+    """Shows (0, time) and raises as the clock does, but only ``ActionMasker`` knows its masks."""
 
-    action_masks = None  # type: ignore[assignment]
+    def __init__(self) -> None:
+        super().__init__(
+            spaces.Box(0.0, 5.0, (2,)), lambda step: np.array([0.0, step], np.float32), length=5
+        )
+        self.action_space = spaces.Discrete(N_ACTIONS)
 
     def allowed(self) -> np.ndarray:
-        return mask_at(self.episode, self.time)
+        return mask_at(0, self.steps)
 
     def step(self, action: int) -> Any:
         assert self.allowed()[action]
-        self.time += 1
-        return self.observation(), 0.0, False, self.time == self.length, {}
+        return super().step(action)
+
+
+def subprocesses(wrapper: Any) -> SubprocVecEnv:
+    return SubprocVecEnv([lambda: wrapper(ClockEnv())] * 2, start_method="fork")
 
 
 @pytest.mark.parametrize(
-    ("make", "n_envs"),
+    ("make_env", "n_envs"),
     [
         (lambda: ActionMasker(Hidden(), lambda env: env.allowed()), 1),  # type: ignore[attr-defined]
         (lambda: ActionMasker(Hidden(), lambda env: env.allowed()[None]), 1),  # type: ignore[attr-defined]
-        (
-            lambda: SubprocVecEnv(
-                [lambda: TerminalActionMask(ClockEnv())] * 2, start_method="fork"
-            ),
-            2,
-        ),
+        (lambda: subprocesses(TerminalActionMask), 2),
     ],
     ids=["action masker", "a row", "subprocesses"],
 )
-def test_masks_of_every_kind_of_env_are_stored(make: Callable[[], Any], n_envs: int) -> None:
-    env = make()
-    model = small_model(env)
-    model.learn(90)
+def test_masks_of_every_kind_of_env_are_stored(make_env: Callable[[], Any], n_envs: int) -> None:
+    env = make_env()
+    model = small_model(env).learn(90)
     check_stored_masks(model.replay_buffer, n_drawable(90, n_envs))
     env.close()
 
 
 def test_subprocess_envs_without_it_warn_once() -> None:
-    env = SubprocVecEnv([ClockEnv] * 2, start_method="fork")
+    env = subprocesses(lambda env: env)
     model = small_model(env)
     with pytest.warns(UserWarning, match="wrap each env in sb3_rainbow.TerminalActionMask") as seen:
         model.learn(60)
@@ -228,38 +217,28 @@ def test_bad_masks_in_predict(n: int, masks: np.ndarray, message: str) -> None:
         model.predict(obs[0] if n == 1 else obs, action_masks=masks)
 
 
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        (np.ones(4, bool), r"must have shape \(1, 6\)"),
-        (np.zeros(N_ACTIONS, bool), "allows no action"),
-    ],
-)
-def test_bad_masks_of_an_env(bad: np.ndarray, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        small_model(ActionMasker(ClockEnv(), lambda _: bad)).learn(10)
+def test_bad_masks_of_an_env() -> None:
+    env = ActionMasker(ClockEnv(), lambda _: np.ones(4, bool))
+    with pytest.raises(ValueError, match=r"must have shape \(1, 6\)"):
+        small_model(env).learn(10)
 
 
 def test_use_masking() -> None:
     with pytest.raises(ValueError, match="has no action_masks"):
         small_model(gym.make("CartPole-v1"), use_masking=True).learn(10)
     small_model(gym.make("CartPole-v1")).learn(30)
+    for off in (False, 0, np.False_):
+        model = small_model(ClockEnv(), use_masking=off)
+        assert model.use_masking is False
+        with pytest.raises(AssertionError, match="is forbidden"):
+            model.learn(50)
+    model = small_model(ClockEnv())
     with pytest.raises(AssertionError, match="is forbidden"):
-        small_model(ClockEnv(), use_masking=False).learn(50)
-    with pytest.raises(AssertionError, match="is forbidden"):
-        small_model(ClockEnv()).learn(50, use_masking=False)
-    with pytest.raises(ValueError, match="use_masking must be"):
-        small_model(ClockEnv(), use_masking="yes")
-
-
-@pytest.mark.parametrize("off", [0, np.False_])
-def test_what_is_false_switches_masks_off(off: Any) -> None:
-    model = Rainbow("MlpPolicy", ClockEnv(), use_masking=off, learning_starts=500, device="cpu")
-    assert model.use_masking is False
-    with pytest.raises(AssertionError, match="is forbidden"):
-        model.learn(50)
+        model.learn(50, use_masking=False)
     with pytest.raises(ValueError, match="use_masking must be"):
         model.learn(50, use_masking="no")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="use_masking must be"):
+        small_model(ClockEnv(), use_masking="yes")
 
 
 def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
@@ -269,20 +248,16 @@ def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
     for asked in (model, Rainbow.load(tmp_path / "m")):
         with pytest.warns(UserWarning, match="MaskableEvalCallback"):
             asked.predict(obs)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            asked.predict(obs)
-            asked.predict(obs, action_masks=np.ones(asked.action_space.n, bool))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        small_model(DummyVecEnv([ClockEnv]), use_masking=False).predict(obs)
+        asked.predict(obs)  # another warning would be an error
+        asked.predict(obs, action_masks=np.ones(asked.action_space.n, bool))
+    small_model(DummyVecEnv([ClockEnv]), use_masking=False).predict(obs)
 
 
-def trained(n_envs: int, stops: tuple[int, ...], **settings: Any) -> Rainbow:
-    """A model that is stopped after some steps of each environment, and at last after 60."""
+@pytest.mark.parametrize("n_envs", [1, 3])
+@pytest.mark.parametrize("stops", [(3,), (5, 6), (12, 25)])
+def test_no_transition_skips_a_step(n_envs: int, stops: tuple[int, ...]) -> None:
     env = DummyVecEnv([ClockEnv] * n_envs)
-    given: dict[str, Any] = {"learning_starts": 10_000, "buffer_size": 500, "seed": 0, **settings}
-    model = Rainbow("MlpPolicy", env, device="cpu", train_freq=7, **given)
+    model = small_model(env, learning_starts=10_000, train_freq=7, n_steps=1)
     for end in (*stops, 60):
         model.learn(
             1000,
@@ -290,13 +265,6 @@ def trained(n_envs: int, stops: tuple[int, ...], **settings: Any) -> Rainbow:
             reset_num_timesteps=False,
         )
         assert model.num_timesteps == end * n_envs
-    return model
-
-
-@pytest.mark.parametrize("n_envs", [1, 3])
-@pytest.mark.parametrize("stops", [(3,), (5, 6), (12, 25)])
-def test_no_transition_skips_a_step(n_envs: int, stops: tuple[int, ...]) -> None:
-    model = trained(n_envs, stops, n_steps=1)
     buffer: Any = model.replay_buffer
     samples = buffer.samples_at(np.flatnonzero(buffer.tree.leaves))
     assert len(samples.indices) == 60 * n_envs
@@ -308,34 +276,27 @@ def test_no_transition_skips_a_step(n_envs: int, stops: tuple[int, ...]) -> None
 
 
 def test_it_serves_sb3s_buffer_normalization_and_lists_of_callbacks() -> None:
-    model = Rainbow(
-        "MlpPolicy", VecNormalize(make_vec_env("CartPole-v1")), replay_buffer_class=ReplayBuffer,
-        prioritized=False, n_steps=1, buffer_size=200, seed=0, device="cpu",
-    )  # fmt: skip
+    env = VecNormalize(make_vec_env("CartPole-v1"))
+    model = make(env=env, replay_buffer_class=ReplayBuffer, prioritized=False, n_steps=1)
     buffer: Any = model.replay_buffer
     for number in (1, 2):
         stop = CallbackList([StopTrainingOnMaxEpisodes(number)])
         model.learn(100, stop, reset_num_timesteps=False)
-    assert buffer.pos == model.num_timesteps < 200
+    assert buffer.pos == model.num_timesteps < 500
     stored = slice(buffer.pos - 1)
     goes_on = buffer.dones[stored, 0] == 0
     after = buffer.observations[1 : buffer.pos]
     np.testing.assert_array_equal(buffer.next_observations[stored][goes_on], after[goes_on])
 
 
-class Switched(gym.Env):
+class Switched(Toy):
     """One of two actions is allowed; a callback says which."""
 
-    observation_space = spaces.Box(0.0, 1.0, (1,))
-    action_space = spaces.Discrete(2)
     allowed = 0
-
-    def reset(self, **_: Any) -> Any:
-        return np.zeros(1, np.float32), {}
 
     def step(self, action: int) -> Any:
         assert action == self.allowed
-        return np.zeros(1, np.float32), 0.0, False, False, {}
+        return super().step(action)
 
     def action_masks(self) -> np.ndarray:
         return np.arange(2) == self.allowed
@@ -350,7 +311,7 @@ def test_masks_follow_what_a_callback_does_between_rollouts() -> None:
         def _on_step(self) -> bool:
             return True
 
-    Rainbow("MlpPolicy", Switched(), learning_starts=10, device="cpu").learn(40, Switch())
+    make(env=Switched(spaces.Box(0.0, 1.0, (1,)))).learn(40, Switch())
 
 
 def test_the_outermost_masks_are_those_of_a_truncated_state() -> None:
@@ -361,7 +322,6 @@ def test_the_outermost_masks_are_those_of_a_truncated_state() -> None:
             return np.ones(N_ACTIONS, bool)
 
     env = ActionMasker(TerminalActionMask(Free()), lambda _: masks)
-    model = Rainbow("MlpPolicy", env, n_steps=1, learning_starts=10, device="cpu").learn(40)
-    buffer: Any = model.replay_buffer
+    buffer: Any = make(env=env, n_steps=1).learn(40).replay_buffer
     stored = buffer.samples_at(np.arange(39)).next_action_masks.numpy()
     assert (stored == masks).all()

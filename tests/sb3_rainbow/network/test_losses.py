@@ -1,4 +1,4 @@
-"""Projection, losses and masks by hand and against a loop; who chooses, and who values."""
+"""Projection and losses by hand and against a slow form; who chooses, and who values."""
 
 import copy
 from typing import Any
@@ -16,14 +16,13 @@ from sb3_rainbow.learner.update import td_losses, td_target
 from sb3_rainbow.network.losses import (
     categorical_losses,
     clipped_share,
-    mask_q_values,
     project_distribution,
     quantile_losses,
     target_entropies,
 )
 from sb3_rainbow.policies import MlpPolicy
 from sb3_rainbow.type_aliases import Batch
-from tests.sb3_rainbow.small import random_batch
+from tests.sb3_rainbow import small
 
 
 def project(p: list[float], reward: float, discount: float, v_min: float, v_max: float) -> list:
@@ -36,14 +35,11 @@ def project(p: list[float], reward: float, discount: float, v_min: float, v_max:
 def slow_projection(
     p: np.ndarray, reward: float, discount: float, v_min: float, v_max: float
 ) -> np.ndarray:
-    """Each atom's mass shared between its neighbours, one at a time."""
+    """Each atom's mass shared among all by their distance from where it falls."""
     atoms = np.linspace(v_min, v_max, p.size)
-    out = np.zeros(p.size)
-    for mass, z in zip(p, atoms, strict=True):
-        target = min(max(reward + discount * z, v_min), v_max)
-        for j, atom in enumerate(atoms):
-            out[j] += mass * max(0.0, 1.0 - abs(target - atom) / (atoms[1] - atoms[0]))
-    return out
+    targets = np.clip(reward + discount * atoms, v_min, v_max)
+    nearness = 1.0 - np.abs(targets[:, None] - atoms) / (atoms[1] - atoms[0])
+    return p @ np.maximum(nearness, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +68,7 @@ def test_projection_by_hand(reward: float, discount: float, expected: list[float
     width=st.floats(0.5, 40),
     seed=st.integers(0, 1000),
 )
-def test_projection_agrees_with_a_loop_and_keeps_mass_one(
+def test_projection_agrees_with_a_matrix_of_distances_and_keeps_mass_one(
     n_atoms: int, reward: float, discount: float, v_min: float, width: float, seed: int
 ) -> None:
     p = np.random.default_rng(seed).dirichlet(np.ones(n_atoms)).astype(np.float32)
@@ -97,7 +93,7 @@ def test_clipped_share_is_the_mass_outside() -> None:
 
 
 def test_a_narrow_support_far_from_zero_loses_no_digits() -> None:
-    """Priorities, against the loop in double precision on the same numbers."""
+    """Priorities, against the matrix in double precision on the same numbers."""
     generator = np.random.default_rng(0)
     v_min, v_max, discount = -100.0, -99.99, np.float32(0.99)
     target, logits = generator.dirichlet(np.ones(51), 20), generator.normal(size=(20, 51))
@@ -117,13 +113,6 @@ def test_a_narrow_support_far_from_zero_loses_no_digits() -> None:
     assert share.item() == 0.0
 
 
-def test_masks_act_on_values() -> None:
-    q_values = th.tensor([[3.0, 2.0, 1.0], [-3.0, -2.0, -1.0]])
-    masks = th.tensor([[False, True, True], [True, True, False]])
-    assert mask_q_values(q_values, masks).argmax(dim=1).tolist() == [1, 1]
-    assert mask_q_values(q_values, None) is q_values
-
-
 def test_quantile_losses_are_sb3_contribs() -> None:
     generator = th.Generator().manual_seed(0)
     # wide enough that both branches of the Huber loss are taken
@@ -137,33 +126,13 @@ def test_quantile_losses_are_sb3_contribs() -> None:
     th.testing.assert_close(th.autograd.grad(losses.mean(), quantiles)[0], gradient)
 
 
-def test_quantile_regression_finds_the_quantiles() -> None:
-    """Of a known distribution, against its inverse at the midpoints."""
-    generator = th.Generator().manual_seed(0)
-    quantiles = th.zeros(1, 5, requires_grad=True)
-    optimizer = th.optim.Adam([quantiles], lr=0.1)
-    for _ in range(1000):
-        target = 40.0 * th.rand(1, 256, generator=generator)  # wide: the Huber threshold is 1
-        optimizer.zero_grad()
-        quantile_losses(quantiles, target).sum().backward()
-        optimizer.step()
-    np.testing.assert_allclose(quantiles.detach()[0], 40.0 * (np.arange(5) + 0.5) / 5, atol=1.0)
-
-
 N_ACTIONS = 4
 
 
 def make_policy(**kwargs: Any) -> MlpPolicy:
     th.manual_seed(1)
-    policy = MlpPolicy(
-        spaces.Box(-1, 1, (3,), np.float32),
-        spaces.Discrete(N_ACTIONS),
-        lambda _: 1e-3,
-        net_arch=[16],
-        v_min=-10.0,
-        v_max=10.0,
-        **{"distributional": True, **kwargs},
-    )
+    given = {"net_arch": [16], "v_min": -10.0, "v_max": 10.0, **kwargs}
+    policy = small.make_policy(spaces.Box(-1, 1, (3,), np.float32), N_ACTIONS, **given)
     # Networks that disagree, so that it shows who chose.
     for parameter in policy.q_net_target.parameters():
         parameter.data += 0.5 * th.randn_like(parameter)
@@ -173,17 +142,7 @@ def make_policy(**kwargs: Any) -> MlpPolicy:
 
 
 def make_batch(masks: th.Tensor | None = None) -> Batch:
-    return random_batch(3, N_ACTIONS, 64, masks=masks)
-
-
-def masked_argmax(q_values: np.ndarray, masks: np.ndarray | None) -> list[int]:
-    return [
-        max(
-            (a for a in range(N_ACTIONS) if masks is None or masks[i, a]),
-            key=lambda a: q_values[i, a],
-        )
-        for i in range(len(q_values))
-    ]
+    return small.random_batch(3, N_ACTIONS, 64, masks=masks)
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -193,15 +152,15 @@ def test_who_chooses_the_next_action(double_q: bool, masked: bool) -> None:
     masks = th.rand(64, N_ACTIONS) < 0.4
     masks[th.arange(64), th.randint(0, N_ACTIONS, (64,))] = True
     batch = make_batch(masks if masked else None)
-    chooser = policy.q_net if double_q else policy.q_net_target
-    q_values = chooser(batch.next_observations, noisy=True).detach().numpy()
-    expected = masked_argmax(q_values, masks.numpy() if masked else None)
+    best = {}
+    for net in (policy.q_net, policy.q_net_target):
+        q_values = net(batch.next_observations, noisy=True).detach().numpy()
+        allowed = masks.numpy() if masked else True
+        best[net] = np.where(allowed, q_values, -np.inf).argmax(axis=1).tolist()
     target = td_target(policy.q_net, policy.q_net_target, batch, double_q)
-    assert target.next_actions[:, 0].tolist() == expected
-    # The networks do disagree about some states.
-    other = policy.q_net_target if double_q else policy.q_net
-    other_q = other(batch.next_observations, noisy=True).detach().numpy()
-    assert masked_argmax(other_q, masks.numpy() if masked else None) != expected
+    chooser = policy.q_net if double_q else policy.q_net_target
+    assert target.next_actions[:, 0].tolist() == best[chooser]
+    assert best[policy.q_net] != best[policy.q_net_target]
 
 
 def test_the_target_network_values_the_choice_and_terminations_end_it() -> None:

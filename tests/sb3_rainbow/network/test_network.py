@@ -14,15 +14,15 @@ from sb3_rainbow import NoisyLinear
 from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy
+from tests.sb3_rainbow import small
 
 OBS = spaces.Box(-1, 1, (4,), np.float32)
-ACTIONS = spaces.Discrete(3)
 OBSERVATIONS = th.randn(6, 4, generator=th.Generator().manual_seed(0))
 
 
 def make_policy(**kwargs: Any) -> MlpPolicy:
-    kwargs = {"net_arch": [32, 24, 16], "v_min": -5.0, "v_max": 5.0, **kwargs}
-    return MlpPolicy(OBS, ACTIONS, lambda _: 1e-3, **{"distributional": True, **kwargs})
+    given = {"net_arch": [32, 24, 16], "v_min": -5.0, "v_max": 5.0, **kwargs}
+    return small.make_policy(OBS, 3, **given)
 
 
 def make_net(**kwargs: Any) -> RainbowNetwork:
@@ -44,14 +44,12 @@ def noise_of(layer: NoisyLinear) -> tuple[th.Tensor, th.Tensor]:
 def test_noise_is_factorized_with_the_moments_of_the_transformed_gaussian() -> None:
     th.manual_seed(0)
     layer = NoisyLinear(6, 5)
-    weights, biases = [], []
+    noises = []
     for _ in range(4000):
         layer.reset_noise()
-        weight, bias = noise_of(layer)
-        weights.append(weight)
-        biases.append(bias)
-    assert np.linalg.matrix_rank(weights[0].numpy(), tol=1e-4) == 1
-    weight_noise, bias_noise = th.stack(weights), th.stack(biases)
+        noises.append(noise_of(layer))
+    weight_noise, bias_noise = (th.stack(each) for each in zip(*noises, strict=True))
+    assert np.linalg.matrix_rank(weight_noise[0].numpy(), tol=1e-4) == 1
     # E f(x)^2 = E|x| = sqrt(2/pi); the product of two independent ones has variance 2/pi.
     assert weight_noise.mean().abs() < 0.02
     assert weight_noise.var().item() == pytest.approx(2 / np.pi, rel=0.05)
@@ -106,15 +104,19 @@ def test_noise_has_nothing_to_do_with_train_and_eval(training: bool) -> None:
     th.testing.assert_close(layer(x, noisy=False), layer(x, noisy=False))
 
 
+def noise_in(net: RainbowNetwork) -> th.Tensor:
+    layers = [layer for layer in net.layers if isinstance(layer, NoisyLinear)]
+    return th.cat([epsilon for layer in layers for epsilon in layer.buffers()])
+
+
 def test_online_and_target_noise_are_independent() -> None:
     policy = make_policy()
     policy.q_net.reset_noise()
     policy.q_net_target.reset_noise()
-    online, target = policy.q_net.noise, policy.q_net_target.noise
+    online, target = (noise_in(net) for net in (policy.q_net, policy.q_net_target))
     assert not th.equal(online, target)
-    before = target.clone()
     policy.q_net.reset_noise()
-    assert th.equal(policy.q_net_target.noise, before)
+    assert th.equal(noise_in(policy.q_net_target), target)
 
 
 def test_each_environment_explores_by_noise_of_its_own() -> None:
@@ -199,7 +201,7 @@ def test_streams_have_layers_of_their_own() -> None:
     th.testing.assert_close(net.logits(OBSERVATIONS), logits)
     net.reset_noise()
     epsilons = [x for layer in net._own_layers() for x in layer.buffers()]
-    assert sum(e.numel() for e in epsilons) == net.noise.numel() == 20 + 20 + 13 + 23
+    assert sum(e.numel() for e in epsilons) == 20 + 20 + 13 + 23
     assert all(e.abs().min() > 0 for e in epsilons)
 
 
@@ -212,9 +214,8 @@ def test_streams_without_dueling_are_one() -> None:
 
 @pytest.mark.parametrize("net_arch", [{}, {"shared": []}, {"streams": []}])
 def test_a_dict_without_streams_is_a_list(net_arch: dict[str, list[int]]) -> None:
-    assert (
-        make_net(net_arch=net_arch).state_dict().keys() == make_net(net_arch=[]).state_dict().keys()
-    )
+    given, plain = make_net(net_arch=net_arch), make_net(net_arch=[])
+    assert given.state_dict().keys() == plain.state_dict().keys()
 
 
 @pytest.mark.parametrize(
@@ -258,13 +259,12 @@ def test_a_prediction_in_inference_mode_leaves_a_copy_able_to_learn() -> None:
     policy.optimizer.step()
 
 
-@pytest.mark.parametrize("extractor", [None, NatureCNN])
-def test_weights_of_images_go_into_a_vector_and_back(extractor: type[NatureCNN] | None) -> None:
-    kwargs: dict[str, Any] = {"distributional": True}
-    if extractor is not None:
-        kwargs["features_extractor_class"] = extractor
-    space = spaces.Box(0, 255, (1, 40, 40), np.uint8)
-    one, other = (CnnPolicy(space, ACTIONS, lambda _: 1e-3, **kwargs) for _ in range(2))
+SMALL_IMAGES = spaces.Box(0, 255, (1, 40, 40), np.uint8)
+
+
+@pytest.mark.parametrize("kwargs", [{}, {"features_extractor_class": NatureCNN}])
+def test_weights_of_images_go_into_a_vector_and_back(kwargs: dict[str, Any]) -> None:
+    one, other = (small.make_policy(SMALL_IMAGES, 3, CnnPolicy, **kwargs) for _ in range(2))
     vector = one.parameters_to_vector()
     pointer = 0
     for parameter in one.parameters():  # in the order of its values, not of its memory
@@ -279,23 +279,19 @@ def test_weights_of_images_go_into_a_vector_and_back(extractor: type[NatureCNN] 
 
 
 def test_a_size_of_features_asks_for_dqns_extractor() -> None:
-    space = spaces.Box(0, 255, (1, 40, 40), np.uint8)
     given: dict[str, Any] = {"features_extractor_kwargs": {"features_dim": 64}}
-    net = CnnPolicy(space, ACTIONS, lambda _: 1e-3, distributional=True, **given).q_net
+    net: Any = small.make_policy(SMALL_IMAGES, 3, CnnPolicy, **given).q_net
     assert type(net.features_extractor) is NatureCNN
-    (head,) = net.layers
-    assert isinstance(head, NoisyLinear)
-    assert head.in_features == 64
+    assert [(type(layer), layer.in_features) for layer in net.layers] == [(NoisyLinear, 64)]
     given["features_extractor_class"] = NatureConvolutions
     with pytest.raises(ValueError, match=r"features_dim=64.*streams=\[64\].*NatureCNN"):
-        CnnPolicy(space, ACTIONS, lambda _: 1e-3, distributional=True, **given)
+        small.make_policy(SMALL_IMAGES, 3, CnnPolicy, **given)
 
 
 def test_images_have_the_published_network_by_default() -> None:
     """Hessel et al. 2018: after the convolutions, two streams of 512 noisy units, and no more."""
     space = spaces.Box(0, 255, (4, 84, 84), np.uint8)
-    policy = CnnPolicy(space, ACTIONS, lambda _: 1e-3, distributional=True)
-    net = policy.q_net
+    net = small.make_policy(space, 3, CnnPolicy).q_net
     linear = [m for m in net.modules() if isinstance(m, nn.Linear | NoisyLinear)]
     assert [(m.in_features, m.out_features) for m in linear] == [
         (3136, 512), (512, 51), (3136, 512), (512, 153),

@@ -1,9 +1,7 @@
 """Rainbow with SB3's replay buffers, and ours where SB3's would stand."""
 
-import warnings
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
@@ -14,47 +12,31 @@ from stable_baselines3.common.envs import BitFlippingEnv, SimpleMultiObsEnv
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback, Rainbow
-from tests.sb3_rainbow.small import FAST
+from tests.sb3_rainbow.small import FAST, Toy, make
 
 
 @pytest.mark.parametrize("buffer_class", [ReplayBuffer, NStepReplayBuffer, DictReplayBuffer])
 def test_sb3s_buffers(buffer_class: type[ReplayBuffer]) -> None:
-    is_dict = buffer_class is DictReplayBuffer
-    model = Rainbow(
-        "MultiInputPolicy" if is_dict else "MlpPolicy",
-        SimpleMultiObsEnv() if is_dict else "CartPole-v1",
-        replay_buffer_class=buffer_class,
-        prioritized=False,
-        n_steps=3 if buffer_class is NStepReplayBuffer else 1,
-        **FAST,
-    )
-    model.learn(60)
-    assert type(model.replay_buffer) is buffer_class
+    policy, n_steps = "MlpPolicy", 1
+    env: Any = "CartPole-v1"
+    if buffer_class is DictReplayBuffer:
+        policy, env = "MultiInputPolicy", SimpleMultiObsEnv()
     if buffer_class is NStepReplayBuffer:
-        assert model.replay_buffer.n_steps == 3  # type: ignore[attr-defined]
-
-
-class Clock(gym.Env):
-    """The time, in seconds since 1970."""
-
-    observation_space = spaces.Box(-np.inf, np.inf, (1,), np.float64)
-    action_space = spaces.Discrete(2)
-
-    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
-        self.time = 1.7e9
-        return np.array([self.time]), {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        self.time += 1.0
-        return np.array([self.time]), 0.0, False, False, {}
+        n_steps = 3
+    kept: Any = {"replay_buffer_class": buffer_class, "prioritized": False, "n_steps": n_steps}
+    buffer = make(policy, env, **kept).learn(60).replay_buffer
+    assert type(buffer) is buffer_class
+    assert getattr(buffer, "n_steps", 1) == n_steps
 
 
 def test_small_differences_of_large_numbers_are_learned_from() -> None:
-    env = VecNormalize(DummyVecEnv([Clock]), training=False)
+    """Such as times, in seconds since 1970."""
+    space = spaces.Box(-np.inf, np.inf, (1,), np.float64)
+    clock = Toy(space, lambda step: np.array([1.7e9 + step]))
+    env = VecNormalize(DummyVecEnv([lambda: clock]), training=False)
     statistics: Any = env.obs_rms
     statistics.mean[:], statistics.var[:] = 1.7e9, 100.0
-    model = Rainbow("MlpPolicy", env, n_steps=1, **FAST).learn(60)
-    buffer: Any = model.replay_buffer
+    buffer: Any = make(env=env, n_steps=1).learn(60).replay_buffer
     samples = buffer.samples_at(np.arange(50), env)
     assert samples.observations.dtype == samples.next_observations.dtype == th.float32
     expected = np.clip(np.arange(51) / 10.0, -10.0, 10.0)
@@ -63,46 +45,30 @@ def test_small_differences_of_large_numbers_are_learned_from() -> None:
     assert buffer.samples_at(np.arange(50)).observations.dtype == th.float32
 
 
-class Sevens(gym.Env):
-    """Counts in sevens, in integers, until it is truncated."""
+def samples_of_five_steps(space: spaces.Space, shown: Any, norm_obs: bool = True) -> Any:
+    """59 transitions of episodes that are truncated after five steps."""
+    env = VecNormalize(DummyVecEnv([lambda: Toy(space, shown, length=5)]), norm_obs=norm_obs)
+    policy = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "MlpPolicy"
+    buffer: Any = make(policy, env, n_steps=1).learn(60).replay_buffer
+    return buffer.samples_at(np.arange(59))
 
-    action_space = spaces.Discrete(2)
 
-    def __init__(self, space: spaces.Space) -> None:
-        self.observation_space: spaces.Space = space
-
-    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
-        self.count = 0
-        return self._seen(), {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        self.count += 7
-        return self._seen(), 0.0, False, self.count == 35, {}
-
-    def _seen(self) -> Any:
-        if isinstance(self.observation_space, spaces.Dict):
-            return {"count": np.array([self.count])}
-        if self.observation_space.dtype == bool:
-            return np.array([self.count == 7, False])
-        return np.full(self.observation_space.shape, self.count, np.int64)
+SEVENS = spaces.Box(0, 99, (1,), np.int64)
 
 
 @pytest.mark.parametrize(
-    ("space", "norm_obs"),
+    ("space", "shown", "norm_obs"),
     [
-        (spaces.Box(0, 99, (1,), np.int64), True),
-        (spaces.Dict(count=spaces.Box(0, 99, (1,), np.int64)), True),
-        (spaces.Discrete(99), False),
+        (SEVENS, lambda step: np.array([7 * step]), True),
+        (spaces.Dict(count=SEVENS), lambda step: {"count": np.array([7 * step])}, True),
+        (spaces.Discrete(99), lambda step: 7 * step, False),
     ],
 )
 def test_truncated_episodes_of_integers_end_where_they_ended(
-    space: spaces.Space, norm_obs: bool
+    space: spaces.Space, shown: Any, norm_obs: bool
 ) -> None:
     """SB3's own way casts what is normalized to the integers of the environment."""
-    env = VecNormalize(DummyVecEnv([lambda: Sevens(space)]), norm_obs=norm_obs)
-    policy = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "MlpPolicy"
-    buffer: Any = Rainbow(policy, env, n_steps=1, **FAST).learn(60).replay_buffer
-    samples = buffer.samples_at(np.arange(59))
+    samples = samples_of_five_steps(space, shown, norm_obs)
     before, after = samples.observations, samples.next_observations
     if isinstance(space, spaces.Dict):
         before, after = before["count"], after["count"]
@@ -110,16 +76,16 @@ def test_truncated_episodes_of_integers_end_where_they_ended(
     assert set(steps.ravel().tolist()) == {7.0}
 
 
-def hindsight(**kwargs: Any) -> Rainbow:
-    env = BitFlippingEnv(n_bits=4, continuous=False)
-    return Rainbow("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, **FAST, **kwargs)
+def test_a_state_of_flags_ends_as_it_ended() -> None:
+    space = spaces.Box(0, 1, (2,), np.bool_)  # type: ignore[arg-type]
+    samples = samples_of_five_steps(space, lambda step: np.array([step == 1, False]))
+    assert not samples.next_observations[4::5].any()
 
 
 def test_what_hindsight_cannot_do_is_off_with_one_warning(tmp_path: Any) -> None:
-    with pytest.warns(
-        UserWarning, match="HerReplayBuffer .*: prioritized=False, n_steps=1"
-    ) as report:
-        model = hindsight()
+    env = BitFlippingEnv(n_bits=4, continuous=False)
+    with pytest.warns(UserWarning, match="HerRep.*: prioritized=False, n_steps=1") as report:
+        model = Rainbow("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, **FAST)
     assert len(report) == 1
     assert report[0].filename == __file__
     assert (model.prioritized, model.n_steps) == (False, 1)
@@ -130,29 +96,22 @@ def test_what_hindsight_cannot_do_is_off_with_one_warning(tmp_path: Any) -> None
 
 
 def test_hindsight_that_is_asked_for_more_is_an_error() -> None:
-    hindsight(prioritized=False, n_steps=1).learn(60)
-    with pytest.raises(ValueError, match="HerReplayBuffer keeps no priorities: pass prioritized=F"):
-        hindsight(prioritized=True, n_steps=1)
-    with pytest.raises(ValueError, match="no n-step returns: pass n_steps=1 instead of 3"):
-        hindsight(prioritized=False, n_steps=3)
     both = "no priorities and no n-step returns: pass prioritized=False, n_steps=1 instead of 3"
-    with pytest.raises(ValueError, match=both):
-        hindsight(prioritized=True, n_steps=3)
+    env = BitFlippingEnv(n_bits=4, continuous=False)
+    for prioritized, n_steps, message in (
+        (True, 1, "HerReplayBuffer keeps no priorities: pass prioritized=F"),
+        (False, 3, "no n-step returns: pass n_steps=1 instead of 3"),
+        (True, 3, both),
+    ):
+        asked = {"prioritized": prioritized, "n_steps": n_steps}
+        with pytest.raises(ValueError, match=message):
+            make("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, **asked)
 
 
 def test_sb3s_n_step_buffer_lacks_only_the_priorities() -> None:
     with pytest.warns(UserWarning, match="NStepReplayBuffer .*: prioritized=False instead"):
-        model = Rainbow("MlpPolicy", "CartPole-v1", replay_buffer_class=NStepReplayBuffer, **FAST)
+        model = make(replay_buffer_class=NStepReplayBuffer)
     assert (model.prioritized, model.n_steps) == (False, 3)
-
-
-def test_a_state_of_flags_ends_as_it_ended() -> None:
-    space = spaces.Box(0, 1, (2,), np.bool_)  # type: ignore[arg-type]
-    env = VecNormalize(DummyVecEnv([lambda: Sevens(space)]))
-    buffer: Any = Rainbow("MlpPolicy", env, n_steps=1, **FAST).learn(60).replay_buffer
-    samples = buffer.samples_at(np.arange(59))
-    ends = samples.next_observations[4::5]  # truncated at 35
-    assert not ends.any()
 
 
 def test_what_outlives_its_row_needs_no_more_room_than_rows() -> None:
@@ -167,11 +126,9 @@ def test_what_outlives_its_row_needs_no_more_room_than_rows() -> None:
 
 
 def test_optimize_memory_usage_is_accepted() -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", optimize_memory_usage=True, **FAST)
+    model = make(optimize_memory_usage=True)
     model.learn(40).learn(40, reset_num_timesteps=False)
-    with warnings.catch_warnings():  # SB3 would warn of what its own buffer does at a reset
-        warnings.simplefilter("error")
-        model.learn(40)
+    model.learn(40)  # SB3 would warn, which is an error here, of what its own buffer does
     buffer = model.replay_buffer
     assert isinstance(buffer, PrioritizedReplayBuffer)
     # Cut there, not ended: the return goes on from where the episode stood.

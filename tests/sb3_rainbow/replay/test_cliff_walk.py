@@ -10,13 +10,13 @@ import itertools
 from collections.abc import Iterator
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.logger import configure
 
 from sb3_rainbow import Rainbow
+from tests.sb3_rainbow.small import Toy
 
 TOLERANCE = 1e-3  # mean squared error of Q below which it counts as learned, the paper's
 CHECK_EVERY = 20
@@ -25,13 +25,6 @@ RAINBOW: dict[str, Any] = {
     **{"n_steps": 1, "tau": 1.0, "batch_size": 32, "learning_rate": 1e-2},
     **{"beta_start": 0.4, "beta_end": 0.4},
 }
-
-
-class Walk(gym.Env):
-    """Says how many states there are; nobody takes a step in it."""
-
-    def __init__(self, states: int) -> None:
-        self.observation_space, self.action_space = spaces.Discrete(states), spaces.Discrete(2)
 
 
 def transitions(states: int, seed: int) -> Iterator[tuple[int, int, int, float, bool]]:
@@ -58,7 +51,7 @@ def updates_needed(states: int, limit: int, seed: int, prioritized: bool) -> int
     """Updates at the first check within the tolerance, or ``limit``."""
     model = Rainbow(
         "MlpPolicy",
-        Walk(states),
+        Toy(spaces.Discrete(states)),  # nobody takes a step in it
         buffer_size=2 ** (states + 1) + 1,
         gamma=1.0 - 1.0 / states,
         seed=1_000 + seed,

@@ -16,28 +16,18 @@ from stable_baselines3.common.utils import set_random_seed
 
 from sb3_rainbow import PrioritizedReplayBuffer, SumTree
 
-OURS: dict[str, Any] = {
-    "learning_starts": 20,
-    "buffer_size": 500,
-    "seed": 0,
-    "replay_buffer_class": PrioritizedReplayBuffer,
-}
-
 
 def filled_buffer(n_rows: int = 10, n_envs: int = 3, **kwargs: Any) -> PrioritizedReplayBuffer:
-    buffer = PrioritizedReplayBuffer(
-        n_rows * n_envs,
-        spaces.Box(-1000, 1000, (1,), np.float32),
-        spaces.Discrete(2),
-        device="cpu",
-        n_envs=n_envs,
-        **kwargs,
-    )
+    space, given = spaces.Box(-1000, 1000, (1,)), {"device": "cpu", "n_envs": n_envs, **kwargs}
+    buffer = PrioritizedReplayBuffer(n_rows * n_envs, space, spaces.Discrete(2), **given)
     for row in range(n_rows):
-        obs = np.full((n_envs, 1), row, np.float32)
-        zeros = np.zeros(n_envs)
-        buffer.add(obs, obs + 1, zeros, zeros, zeros, [{}] * n_envs)
+        add_row(buffer, row)
     return buffer
+
+
+def add_row(buffer: PrioritizedReplayBuffer, row: int) -> None:
+    obs, zeros = np.full((buffer.n_envs, 1), row, np.float32), np.zeros(buffer.n_envs)
+    buffer.add(obs, obs + 1, zeros, zeros, zeros, [{}] * buffer.n_envs)
 
 
 def draw(buffer: PrioritizedReplayBuffer, n: int) -> np.ndarray:
@@ -82,18 +72,15 @@ def test_new_transitions_enter_at_the_running_maximum() -> None:
     np.testing.assert_allclose(buffer.tree.leaves, 1.0)
     buffer.update_priorities(np.array([1, 2]), np.array([9.0, 0.25]))
     buffer.update_priorities(np.array([1]), np.array([4.0]))
-    zeros = np.zeros((1, 1), np.float32)
-    buffer.add(zeros, zeros, np.zeros(1), np.zeros(1), np.zeros(1), [{}])
+    add_row(buffer, 4)
     np.testing.assert_allclose(buffer.tree.leaves, [3.0, 2.0, 0.5, 1.0])
 
 
 def test_a_transition_overwritten_since_it_was_drawn_stays_dead() -> None:
     buffer = filled_buffer(n_rows=4, n_envs=1, n_steps=2)
-    drawn = np.array([0])
-    zeros = np.zeros((1, 1), np.float32)
-    buffer.add(zeros + 4, zeros, np.zeros(1), np.zeros(1), np.zeros(1), [{}])
+    add_row(buffer, 4)
     assert buffer.tree.leaves[0] == 0.0
-    buffer.update_priorities(drawn, np.array([5.0]))
+    buffer.update_priorities(np.array([0]), np.array([5.0]))
     assert buffer.tree.leaves[0] == 0.0
     with pytest.raises(ValueError, match="No complete transition at index 0"):
         buffer.samples_at(np.array([1, 0]))
@@ -148,9 +135,10 @@ def test_a_reset_forgets_everything_and_sampling_before_a_window_is_complete_say
 
 
 def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
-    model = SAC("MlpPolicy", "Pendulum-v1", **OURS).learn(40)
-    buffer = model.replay_buffer
-    assert isinstance(buffer, PrioritizedReplayBuffer)
+    ours: dict[str, Any] = {"replay_buffer_class": PrioritizedReplayBuffer, "buffer_size": 500}
+    buffer: Any = (
+        SAC("MlpPolicy", "Pendulum-v1", learning_starts=20, **ours).learn(40).replay_buffer
+    )
     actions = buffer.sample(20).actions
     assert actions.dtype == th.float32
     assert (actions != actions.round()).all()

@@ -7,17 +7,16 @@ import gymnasium as gym
 import numpy as np
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import (
-    DummyVecEnv,
-)
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
 from tests.sb3_rainbow import small
 
-FAST: dict[str, Any] = {
-    **{**small.FAST, "learning_starts": 40, "buffer_size": 300, "seed": 7},
-    **{"train_freq": 2, "gradient_steps": 1},
-}
+
+def make(env: Any = "CartPole-v1", policy: str = "MlpPolicy", **settings: Any) -> Rainbow:
+    """A small model with one update every two steps."""
+    own = {"learning_starts": 40, "buffer_size": 300, "train_freq": 2, "gradient_steps": 1}
+    return small.make(policy, env, **{**own, "seed": 7, **settings})
 
 
 class StatefulVecEnv(DummyVecEnv):

@@ -20,15 +20,13 @@ from stable_baselines3.common.vec_env import (
 )
 
 from sb3_rainbow import Rainbow
-from tests.sb3_rainbow.resume.runs import FAST, assert_same, make_stateful
+from tests.sb3_rainbow.resume.runs import assert_same, make, make_stateful
 
 
 @pytest.mark.parametrize(("n_envs", "noisy"), [(1, False), (3, True)])
 def test_two_runs_with_one_seed_are_identical(n_envs: int, noisy: bool) -> None:
     def run(seed: int) -> Rainbow:
-        env = make_vec_env("CartPole-v1", n_envs=n_envs)
-        model = Rainbow("MlpPolicy", env, noisy=noisy, **{**FAST, "seed": seed})
-        return model.learn(360)
+        return make(make_vec_env("CartPole-v1", n_envs), noisy=noisy, seed=seed).learn(360)
 
     assert_same(run(7), run(7))
     with pytest.raises(AssertionError):
@@ -39,10 +37,10 @@ def test_two_runs_with_one_seed_are_identical(n_envs: int, noisy: bool) -> None:
 def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool, again: bool) -> None:
     """Also where the loaded model is saved again before it goes on."""
     # Annealing depends on a run's length: constant schedules make both runs comparable.
-    settings = {**FAST, "noisy": noisy, "beta_end": 0.4, "exploration_final_eps": 1.0}
-    whole = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(500)
+    settings: dict[str, Any] = {"noisy": noisy, "beta_end": 0.4, "exploration_final_eps": 1.0}
+    whole = make(**settings).learn(500)
 
-    first = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(350)
+    first = make(**settings).learn(350)
     first.save(tmp_path / "model")
     first.save_replay_buffer(tmp_path / "buffer")
     env = first.get_env()
@@ -59,8 +57,8 @@ def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool, again: bool) -
 
 @pytest.mark.parametrize("way", ["load", "load_checkpoint", "set_random_seed"])
 def test_a_new_seed_wins_over_the_saved_generators(tmp_path: Any, way: str) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(60).save(tmp_path / "m")
-    Rainbow("MlpPolicy", make_stateful(1), **FAST).learn(60).save_checkpoint(tmp_path / "c")
+    make().learn(60).save(tmp_path / "m")
+    make(make_stateful(1)).learn(60).save_checkpoint(tmp_path / "c")
 
     def draw(seed: int | None) -> tuple[float, float, int]:
         """What the generators give once learning goes on."""
@@ -99,8 +97,8 @@ def test_a_checkpoint_in_the_middle_of_a_run_with_several_envs(tmp_path: Any) ->
     def make_env() -> VecNormalize:
         return VecNormalize(VecMonitor(make_stateful()))
 
-    settings = {**FAST, "learning_rate": lambda progress: 1e-3 * progress}
-    whole = Rainbow("MlpPolicy", make_env(), **settings).learn(600, callback=Checkpoint())
+    model = make(make_env(), learning_rate=lambda progress: 1e-3 * progress)
+    whole = model.learn(600, callback=Checkpoint())
     env = make_env()
     env.seed(99)
     env.reset()
@@ -130,7 +128,7 @@ class Counting(VecEnvWrapper):
 
 @pytest.mark.parametrize("wrap", [OwnNormalize, lambda env: VecFrameStack(env, 3)])
 def test_a_checkpoint_holds_the_state_of_sb3s_wrappers(tmp_path: Any, wrap: Any) -> None:
-    model = Rainbow("MlpPolicy", wrap(make_stateful()), **{**FAST, "beta_end": 0.4}).learn(240)
+    model = make(wrap(make_stateful()), beta_end=0.4).learn(240)
     model.save_checkpoint(tmp_path / "c")
     model.learn(120, reset_num_timesteps=False)
     resumed = Rainbow.load_checkpoint(tmp_path / "c", wrap(make_stateful()))
@@ -139,7 +137,7 @@ def test_a_checkpoint_holds_the_state_of_sb3s_wrappers(tmp_path: Any, wrap: Any)
 
 def test_a_checkpoint_holds_statistics_even_where_the_env_is_reset(tmp_path: Any) -> None:
     env = VecNormalize(make_vec_env("CartPole-v1"))
-    model = Rainbow("MlpPolicy", env, **FAST)
+    model = make(env)
     model.save_checkpoint(tmp_path / "before_the_first_step")
     model.learn(100).save_checkpoint(tmp_path / "c")
     fresh = VecNormalize(make_vec_env("CartPole-v1"))
@@ -156,15 +154,15 @@ def test_a_checkpoint_holds_statistics_even_where_the_env_is_reset(tmp_path: Any
 
 
 def test_a_checkpoint_names_the_wrapper_whose_state_it_does_not_hold(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", VecMonitor(Counting(make_stateful())), **FAST)
+    model = make(VecMonitor(Counting(make_stateful())))
     with pytest.warns(UserWarning, match="Counting"):
         model.save_checkpoint(tmp_path / "c")
 
 
 def test_hindsight_never_joins_the_episodes_before_and_after_a_checkpoint(tmp_path: Any) -> None:
-    settings = {**FAST, "prioritized": False, "n_steps": 1, "replay_buffer_class": HerReplayBuffer}
+    settings: Any = {"prioritized": False, "n_steps": 1, "replay_buffer_class": HerReplayBuffer}
     env = BitFlippingEnv(n_bits=10, continuous=False)  # of ten steps, unless it is solved
-    model: Any = Rainbow("MultiInputPolicy", env, **settings)
+    model: Any = make(env, "MultiInputPolicy", **settings)
     model.learn(46).save_checkpoint(tmp_path / "c")
     assert not model.replay_buffer.ep_length[40:46].any()  # an episode that runs
     model = Rainbow.load_checkpoint(tmp_path / "c", env)
@@ -177,10 +175,10 @@ def test_files_that_are_no_checkpoint(tmp_path: Any) -> None:
     env = gym.make("CartPole-v1")
     with pytest.raises(ValueError, match="is no checkpoint of Rainbow"):
         Rainbow.load_checkpoint(tmp_path / "text", env)
-    Rainbow("MlpPolicy", env, **FAST).save(tmp_path / "model.zip")
+    make(env).save(tmp_path / "model.zip")
     with pytest.raises(ValueError, match=r"written by save\(\)\? Then use load\(\)"):
         Rainbow.load_checkpoint(tmp_path / "model.zip", env)
-    model = Rainbow("MlpPolicy", make_stateful(1), **FAST)
+    model = make(make_stateful(1))
     model.save_checkpoint(tmp_path / "c")
     with pytest.raises(ValueError, match="no set_state"):
         Rainbow.load_checkpoint(tmp_path / "c", make_vec_env("CartPole-v1"))
@@ -188,7 +186,7 @@ def test_files_that_are_no_checkpoint(tmp_path: Any) -> None:
 
 def test_a_checkpoint_refuses_a_new_normalization_but_not_a_new_gamma(tmp_path: Any) -> None:
     path = tmp_path / "run.ckpt"
-    model = Rainbow("MlpPolicy", make_vec_env("CartPole-v1"), **FAST).learn(60)
+    model = make(make_vec_env("CartPole-v1")).learn(60)
     model.save_checkpoint(path)
     with pytest.raises(ValueError, match=r"nothing of VecNormalize.*wrap the env as"):
         Rainbow.load_checkpoint(path, VecNormalize(make_vec_env("CartPole-v1")))

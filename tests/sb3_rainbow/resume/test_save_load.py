@@ -13,15 +13,12 @@ from stable_baselines3.common.utils import set_random_seed
 
 from sb3_rainbow import Rainbow
 from sb3_rainbow.policies import MlpPolicy
-from tests.sb3_rainbow.resume.runs import FAST
+from tests.sb3_rainbow.resume.runs import make
 from tests.sb3_rainbow.zoo.crafted import tampered
 
 
 def test_predictions_parameters_and_settings_survive(tmp_path: Any) -> None:
-    model = Rainbow(
-        "MlpPolicy", "CartPole-v1", v_min=-3.0, v_max=99.0, n_steps=5, dueling=False, **FAST
-    )
-    model.learn(100)
+    model = make(v_min=-3.0, v_max=99.0, n_steps=5, dueling=False).learn(100)
     obs = np.random.default_rng(0).normal(size=(20, 4)).astype(np.float32)
     expected, _ = model.predict(obs, deterministic=True)
     model.save(tmp_path / "m")
@@ -36,7 +33,7 @@ def test_predictions_parameters_and_settings_survive(tmp_path: Any) -> None:
 
 
 def test_a_policy_alone_survives(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", distributional=False, **FAST)
+    model = make(distributional=False)
     model.policy.save(str(tmp_path / "p"))
     policy = MlpPolicy.load(str(tmp_path / "p"))
     obs = np.zeros((3, 4), np.float32)
@@ -46,7 +43,7 @@ def test_a_policy_alone_survives(tmp_path: Any) -> None:
 
 def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
     file = io.BytesIO()
-    Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "seed": None}).save(file)
+    make(seed=None).save(file)
     file.seek(0)
     set_random_seed(5)
     expected = np.random.randint(1 << 30)  # noqa: NPY002
@@ -66,7 +63,7 @@ def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
     ],
 )
 def test_a_model_of_other_settings(tmp_path: Any, other: dict[str, Any], message: str) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", distributional=True, **FAST).save(tmp_path / "m")
+    make(distributional=True).save(tmp_path / "m")
     with pytest.raises(ValueError, match=f"(?s){message}"):
         Rainbow.load(tmp_path / "m", **other)
 
@@ -82,8 +79,8 @@ def test_a_model_of_other_settings(tmp_path: Any, other: dict[str, Any], message
 def test_a_replay_buffer_of_other_settings(
     tmp_path: Any, other: dict[str, Any], message: str
 ) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(50).save_replay_buffer(tmp_path / "b")
-    model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **other})
+    make().learn(50).save_replay_buffer(tmp_path / "b")
+    model = make(**other)
     present = model.replay_buffer
     with pytest.raises(ValueError, match=message):
         model.load_replay_buffer(tmp_path / "b.pkl")
@@ -103,7 +100,7 @@ def test_a_replay_buffer_of_other_settings(
 def test_a_support_asks_for_the_categorical_head(
     tmp_path: Any, given: dict[str, Any], head: tuple[Any, ...]
 ) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST, **given)
+    model = make(**given)
     assert (model.distributional, model.v_min, model.v_max) == head
     assert model.q_net.distributional == head[0]
     model.save(tmp_path / "m")
@@ -112,8 +109,8 @@ def test_a_support_asks_for_the_categorical_head(
 
 
 def test_parameters_of_other_settings(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", v_min=0.0, v_max=100.0, **FAST)
-    Rainbow("MlpPolicy", "CartPole-v1", v_min=0.0, v_max=50.0, **FAST).save(tmp_path / "m")
+    model = make(v_min=0.0, v_max=100.0)
+    make(v_min=0.0, v_max=50.0).save(tmp_path / "m")
     with pytest.raises(ValueError, match=r"support is \[0.0, 50.0\]"):
         model.set_parameters(str(tmp_path / "m"))
     # SB3 raises RuntimeError for tensors that do not fit, and its users catch that.
@@ -126,7 +123,7 @@ def test_parameters_of_other_settings(tmp_path: Any) -> None:
 
 def test_a_gpu_is_left_alone_by_a_model_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a process that was forked from one which used it."""
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    model = make()
 
     def fail() -> None:
         raise RuntimeError("Cannot re-initialize CUDA in forked subprocess")
@@ -136,20 +133,21 @@ def test_a_gpu_is_left_alone_by_a_model_on_the_cpu(monkeypatch: pytest.MonkeyPat
     model.save(io.BytesIO())
 
 
-@pytest.mark.parametrize("n_envs", [1, 3])
-def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int) -> None:
+@pytest.mark.parametrize(("n_envs", "n_steps"), [(1, 3), (3, 3), (1, 5)])
+def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int, n_steps: int) -> None:
     # As RL Zoo's enjoy.py loads what it shows
-    made = Rainbow("MlpPolicy", make_vec_env("CartPole-v1", n_envs=n_envs), n_steps=3, **FAST)
+    env = make_vec_env("CartPole-v1", n_envs=n_envs)
+    made = make(env, replay_buffer_kwargs={"n_steps": n_steps})
     made.save(tmp_path / "m")
     obs = np.random.default_rng(0).normal(size=(n_envs, 4)).astype(np.float32)
     expected, _ = made.predict(obs, deterministic=True)
-    for env in (None, make_vec_env("CartPole-v1", n_envs=n_envs)):
-        loaded: Any = Rainbow.load(tmp_path / "m", env=env, buffer_size=1, seed=0)
+    for given in (None, env):
+        loaded: Any = Rainbow.load(tmp_path / "m", env=given, buffer_size=1, seed=0)
         np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
-        assert loaded.replay_buffer.buffer_size == 4  # a window and what it leads to
+        assert loaded.replay_buffer.buffer_size == n_steps + 1  # a window and what it leads to
     loaded.learn(60)
     with pytest.raises(ValueError, match="buffer_size=1 is too small"):
-        Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "buffer_size": 1})
+        make(buffer_size=1)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +168,7 @@ def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int) ->
 def test_a_new_target_interval_brings_its_tau(
     tmp_path: Any, made: dict[str, Any], loaded: dict[str, Any], tau: float
 ) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST, **made).save(tmp_path / "m")
+    make(**made).save(tmp_path / "m")
     model = Rainbow.load(tmp_path / "m", **loaded)
     assert model.tau == tau
     given = {**made, **loaded, **loaded.get("custom_objects", {})}
@@ -181,41 +179,26 @@ def test_a_new_target_interval_brings_its_tau(
 
 
 @pytest.mark.filterwarnings("ignore:`n_steps=3` is ignored")  # SB3 looks at the buffer first
-def test_another_algorithm_refuses_a_file_of_rainbow(tmp_path: Any) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
+def test_files_of_another_algorithm(tmp_path: Any) -> None:
+    make().save(tmp_path / "m")
     with pytest.raises(ValueError, match=r"loaded by Rainbow\.load"):
         DQN.load(tmp_path / "m")
-
-
-def test_a_model_of_another_algorithm(tmp_path: Any) -> None:
     DQN("MlpPolicy", "CartPole-v1", buffer_size=100).save(tmp_path / "dqn")
     with pytest.raises(ValueError, match="saved by another algorithm"):
         Rainbow.load(tmp_path / "dqn")
+    (tmp_path / "text.zip").write_text("no model")
+    with pytest.raises(ValueError, match="wasn't a zip-file"):  # SB3's own
+        make().set_parameters(str(tmp_path / "text.zip"))
 
 
 def test_parameters_are_read_without_running_what_is_stored_beside_them(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    model: Any = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    model: Any = make()
     model.save("model")
     path = tampered(tmp_path / "model.zip", tmp_path / "tampered.zip", "anything")
     model.set_parameters(str(path))
     with path.open("rb") as file:
         model.set_parameters(file)
     assert not Path("called").exists()
-
-
-def test_a_buffer_of_more_steps_is_as_large_as_they_need(tmp_path: Any) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", replay_buffer_kwargs={"n_steps": 5}, **FAST).save(
-        tmp_path / "m"
-    )
-    loaded = Rainbow.load(tmp_path / "m", buffer_size=1)
-    assert loaded.replay_buffer is not None
-    assert loaded.replay_buffer.buffer_size == 6
-
-
-def test_what_is_no_zip_is_the_error_of_sb3(tmp_path: Any) -> None:
-    (tmp_path / "text.zip").write_text("no model")
-    with pytest.raises(ValueError, match="wasn't a zip-file"):
-        Rainbow("MlpPolicy", "CartPole-v1", **FAST).set_parameters(str(tmp_path / "text.zip"))

@@ -1,10 +1,11 @@
-"""A pickle that calls something when it is loaded, and files of SB3's own form that hold it."""
+"""A pickle that calls something when it is loaded, and files with contents of someone else's."""
 
 import base64
 import json
 import os
 import pickle
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,26 @@ class Calling:
 CALL = pickle.dumps(Calling())
 
 
+def rewritten(
+    source: Path,
+    target: Path,
+    change: Callable[[str, bytes], bytes] = lambda name, content: content,
+    compression: int = zipfile.ZIP_STORED,
+) -> Path:
+    """A copy of an archive whose contents, by name, are changed."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w", compression) as new:
+        for name in old.namelist():
+            new.writestr(name, change(name, old.read(name)))
+    return target
+
+
 def tampered(model: Path, target: Path, *names: str) -> Path:
     """A file of SB3's own form, of which these settings are the pickle."""
     serialized = {":type:": "?", ":serialized:": base64.b64encode(CALL).decode()}
-    with zipfile.ZipFile(model) as old, zipfile.ZipFile(target, "w") as new:
-        for name in old.namelist():
-            content = old.read(name)
-            if name == "data":
-                content = json.dumps(
-                    json.loads(content) | dict.fromkeys(names, serialized)
-                ).encode()
-            new.writestr(name, content)
-    return target
+
+    def change(name: str, content: bytes) -> bytes:
+        if name != "data":
+            return content
+        return json.dumps(json.loads(content) | dict.fromkeys(names, serialized)).encode()
+
+    return rewritten(model, target, change)

@@ -53,16 +53,12 @@ def test_a_new_seed_is_no_second_beginning() -> None:
     assert not (buffer.observations[300:305] == buffer.observations[0]).all(axis=-1).any()
 
 
-def test_a_finished_run_takes_as_many_steps_again() -> None:
-    train("--save-replay-buffer -n 100")
-    train(f"-i {RUN}/CartPole-v1.zip -n 100")
-    assert trained(2).num_timesteps == 200
-
-
-def test_without_its_replay_a_model_is_where_a_new_run_begins() -> None:
-    train("-n 100")
-    train(f"-i {RUN}/CartPole-v1.zip -n 50")
-    assert trained(2).num_timesteps == 50
+@pytest.mark.parametrize(("flag", "n", "total"), [("--save-replay-buffer", 100, 200), ("", 50, 50)])
+def test_a_finished_run_takes_as_many_steps_again(flag: str, n: int, total: int) -> None:
+    """Without its replay buffer a model is where a new run begins."""
+    train(f"{flag} -n 100")
+    train(f"-i {RUN}/CartPole-v1.zip -n {n}")
+    assert trained(2).num_timesteps == total
 
 
 def test_the_runs_own_settings_win_unless_the_command_line_speaks() -> None:
