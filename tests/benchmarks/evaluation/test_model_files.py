@@ -85,10 +85,12 @@ def test_a_strangers_model_asks_for_trust(
 @pytest.mark.parametrize("name", ["data", "policy.pth"])
 def test_a_damaged_model_is_one_error(tmp_path: Path, name: str) -> None:
     Rainbow("MlpPolicy", CoopInsertionEnv(), buffer_size=100, device="cpu").save(tmp_path / "m")
-    for content in (b"", CALL):  # and torch refuses to unpickle
-        damaged = rewritten(
-            tmp_path / "m.zip", tmp_path / "my.zip", lambda n, c, b=content: b if n == name else c
-        )
+    for content in (b"", CALL):  # which torch refuses to unpickle
+
+        def damage(each: str, old: bytes, new: bytes = content) -> bytes:
+            return new if each == name else old
+
+        damaged = rewritten(tmp_path / "m.zip", tmp_path / "my.zip", damage)
         with pytest.raises(BenchmarkError, match="is no model of 'rainbow'"):
             load_model(damaged, "rainbow", trust=True)
 
