@@ -172,7 +172,7 @@ class CoopInsertionEnv(Rendered):
     ) -> None:
         if collision not in ("refuse", "terminate"):
             raise ArgumentError(f"collision = {collision!r}: must be 'refuse' or 'terminate'")
-        self.stage = stage
+        self.set_stage(stage)
         self._task = as_dataclass("task", task, InsertionTask, {None: PAPER_TASK})
         self._set_render_mode(render_mode, self._task.dt)
         self._knobs = resolve(sim_to_real, self._task)
@@ -227,11 +227,11 @@ class CoopInsertionEnv(Rendered):
 
     @stage.setter
     def stage(self, stage: int) -> None:
-        self._stage = check_integer("stage", stage, 0, 1, hint=": the first holes, or all of them")
+        self.set_stage(stage)
 
     def set_stage(self, stage: int) -> None:
         """Set :attr:`stage`, by ``env_method`` or ``call``."""
-        self.stage = stage
+        self._stage = check_integer("stage", stage, 0, 1, hint=": the first holes, or all of them")
 
     @property
     def configuration(self) -> NDArray[np.float64]:
@@ -368,7 +368,7 @@ class CoopInsertionEnv(Rendered):
         before = self._stage
         try:
             started = check_flag("started", snapshot["started"])
-            self.stage = snapshot["stage"]
+            self.set_stage(snapshot["stage"])
             self.np_random.bit_generator.state = snapshot["rng"]
         except (TypeError, ValueError, KeyError) as error:
             self._stage = before

@@ -46,8 +46,9 @@ class Rainbow(ResumableAlgorithm):
     on scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
 
     The defaults are for small tasks, of some ten thousand steps, where Hessel et al.'s, which are
-    for 200 million frames of Atari, learn nothing; ``Rainbow(..., **sb3_rainbow.HESSEL)`` has
-    those.
+    for 200 million frames of Atari, learn nothing: a higher rate, more updates, a target that
+    follows sooner, quantiles, which need no support, and a little epsilon, as noise alone tries
+    some actions too seldom. ``Rainbow(..., **sb3_rainbow.HESSEL)`` has theirs.
 
     Args:
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.
@@ -197,9 +198,8 @@ class Rainbow(ResumableAlgorithm):
         self.dueling = dueling
         self.prioritized = prioritized
         self.noisy = noisy
-        self.distributional = distributional
-        self.v_min = v_min
-        self.v_max = v_max
+        head = settings.head_and_support(distributional, v_min, v_max)
+        self.distributional, self.v_min, self.v_max = head
         self.n_atoms = n_atoms
         self.sigma0 = sigma0
         self.alpha = alpha

@@ -11,8 +11,8 @@ The plain ones see the state as the controller's model knows it. Those from the 
 its 12 numbers, noise included: the target is the hole whose mouth and normal come nearest to them.
 
 Where both robots move at once, a central *greedy* makes the joint move after which the potential is
-least. Of two agents each makes the move after which it would be least if the other held, or holds:
-in sight of the other of the whole potential, else the Delta of d and the 3-RRS of a.
+least. Of two agents each makes the move after which it would be least if the other held, and holds
+if none makes it less: in sight of the other the whole potential, else the Delta's d, the 3-RRS's a.
 """
 
 import math
@@ -128,7 +128,8 @@ def _look_ahead(
 ) -> int:
     """The first of the best two moves; ``after`` (12,) is the potential after one, inf if barred.
 
-    Masks cost most, so the first moves come in the order of what any second would make of them.
+    Masks cost most, so the first moves come in the order of what any second would make of them, up
+    to where none of those left can be as good as the best found.
     """
     pairs = np.full((N_ACTIONS, N_ACTIONS), math.inf)
     floor = np.full(N_ACTIONS, math.inf)

@@ -203,6 +203,7 @@ def _checked(
 def _spelled_out(arguments: dict[str, Any]) -> dict[str, Any]:
     """Rainbow's arguments with its :data:`FORMER_DEFAULTS` where they say nothing."""
     former = dict(FORMER_DEFAULTS)
+    # then there was no epsilon beside the noise unless one of its three arguments was given
     if not arguments.get("noisy", True) or any("exploration" in name for name in arguments):
         del former["exploration_initial_eps"], former["exploration_final_eps"]
     if not {"tau", "target_update_interval"} & arguments.keys():

@@ -135,8 +135,8 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
     cells = dict.fromkeys(found)
     if not cells:
         raise BenchmarkError(
-            f"preset '{preset.name}' holds no run: runs and design are empty, or a group lists no "
-            "methods"
+            f"preset '{preset.name}' holds no run: runs and design are empty, a group lists no "
+            "methods, or every task skips them all"
         )
     seen: dict[str, Cell] = {}
     for cell in cells:
@@ -188,7 +188,8 @@ def checkpoint_bytes(preset: Preset | SuitePreset, cell: Cell) -> int:
 def settings(preset: Preset | SuitePreset, cell: Cell) -> dict[str, Any]:
     """Everything that decides the cell's result, as plain YAML types: the run's config.yaml.
 
-    Left out is what has no bearing on it, and later keys at the value that they had before.
+    What has no bearing on it is left out, and so is a key that came later, at the value that runs
+    from before it had: they still match.
     """
     if isinstance(preset, SuitePreset):
         return _of_task(preset, cell)

@@ -8,16 +8,15 @@ from typing import Final
 
 import numpy as np
 
-#: a stream's number is its place, from 1
-_STREAMS: Final = (
-    *("train", "test", "validate", "noise", "planner"),
-    *("learner", "fresh", "data", "final", "explore"),
-)
+_STREAMS: Final = {
+    **{"train": 1, "test": 2, "validate": 3, "noise": 4, "planner": 5},
+    **{"learner": 6, "fresh": 7, "data": 8, "final": 9, "explore": 10},
+}
 
 
 def derive(stream: str, *key: int) -> int:
     """A 31-bit seed of a stream; equal keys, such as (seed, episode), give equal seeds."""
-    sequence = np.random.SeedSequence((1 + _STREAMS.index(stream), *key))
+    sequence = np.random.SeedSequence((_STREAMS[stream], *key))
     return int(sequence.generate_state(1)[0] >> 1)
 
 

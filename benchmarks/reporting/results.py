@@ -49,7 +49,8 @@ class Result:
 
     @classmethod
     def read(cls, folder: RunFolder) -> Self:
-        """A run from its folder."""
+        """A run from its folder; BenchmarkError where it is damaged or of another schema."""
+        folder.meta()
         rows = folder.rows("episodes")
         if "masks" in rows:  # older runs were also played under other masks than their own
             rows = rows[rows["masks"].fillna("own") == "own"].drop(columns="masks")

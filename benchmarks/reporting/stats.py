@@ -128,7 +128,7 @@ def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
 def mean_band(curves: ArrayLike) -> tuple[Array, Array, Array]:
     """Mean of curves (seeds, T), and the ends of Student's 95 % interval over seeds, each (T,).
 
-    Over seeds, as the episodes of one share a trained network. NaN with fewer than two curves.
+    Over seeds, as the episodes of one share a trained network. The ends of one curve are NaN.
     """
     data = np.asarray(curves, dtype=np.float64)
     n, mean = len(data), data.mean(axis=0)

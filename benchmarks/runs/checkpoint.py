@@ -5,6 +5,7 @@ import pickle
 import shutil
 import time
 import warnings
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
@@ -35,8 +36,10 @@ PASSING: Final = (
 class Stateful(Protocol):
     """A part of a run beside its model; a state of None says that its episodes begin anew."""
 
+    @abstractmethod
     def get_state(self) -> Any: ...
 
+    @abstractmethod
     def set_state(self, state: Any, /) -> Any: ...
 
 

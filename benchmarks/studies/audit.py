@@ -1,6 +1,7 @@
 """What each reward pays for: the return of farming it against the return of doing the task.
 
-Scripted policies play the same validation starts under each reward. *Insert* follows the exact
+Scripted policies play the same validation starts under each reward, on the first track of the
+preset that has it; results go to ``results/audit/``. *Insert* follows the exact
 optimum hole after hole, *insert one* stops at the first. *Farm* looks on the optimum's way to the
 first hole, and two moves off it, for the place where a move and its reversal pay most, goes there
 and repeats the two until the time is up; *oscillate* does so where the episode starts. *Random*

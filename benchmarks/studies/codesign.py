@@ -2,7 +2,8 @@
 
 Two studies, of (lambda1, lambda2) and of (L2, home heave). The exact optimum with both robots
 moving at once scores designs for Optuna's NSGA-II: success and mean ticks. Then a policy is trained
-on each of the chosen designs, over seeds, and tested on test starts. The same command goes on.
+on each of the chosen designs, over seeds, and tested on test starts. What is complete is kept in
+``results/codesign/``: the same command goes on from there.
 """
 
 import argparse

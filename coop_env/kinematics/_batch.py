@@ -58,7 +58,8 @@ def over_rows(*kinds: str) -> Callable[[Callable[..., None]], Callable[..., list
         kernel, dtypes = njit(cache=True)(loop), [np.dtype(kind) for kind in kinds]
 
         def fill(params: Any, *inputs: Floats) -> list[Any]:
-            wide = np.broadcast_arrays(*inputs)
+            alike = len({a.shape for a in inputs}) == 1  # mostly, and NumPy takes its time
+            wide = inputs if alike else np.broadcast_arrays(*inputs)
             columns = np.array([column for a in wide for column in a.reshape(-1, 3).T], order="C")
             rows = [np.empty(columns.shape[1], dtype) for dtype in dtypes]
             kernel(params, *columns, *rows)

@@ -32,8 +32,9 @@ class ShieldMargin:
         sigma: least signed sigma_min, dimensionless; the task's own margin where that is larger.
         joint: of the 3-RRS's actuated angles from their limits, rad.
         reach: least ``1 - |cosine|`` of each limb's triangle: 0 is a stretched or folded limb.
-        clearance: between any part of the Delta and any of the 3-RRS, m. Less than a millimetre
-            no longer covers what lies between two looks at a way.
+        clearance: between any part of the Delta and any of the 3-RRS, m; holes are entered only
+            where their lead-in is as much wider. Less than a millimetre no longer covers what lies
+            between two looks at a way.
 
     Raises:
         ArgumentError: a value is of the wrong kind or out of range.
@@ -198,7 +199,7 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
     def action_masks(self) -> NDArray[np.bool_]:
         """(12,): True where a move keeps all margins and the environment allows it.
 
-        At a start nearer to a limit than the margin the environment's own hold.
+        Where nothing is left, as at a start within the margin, the environment's own hold.
         """
         inner = self.shield.allowed_moves(self._configuration())
         return self.shield.masks(self._own_masks(), inner)
@@ -244,7 +245,7 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class ShieldedInsertionEnv(CoopInsertionEnv):
-    """A ``CoopInsertion-v0`` with the masks of :class:`ShieldWrapper`, which does not intervene.
+    """A ``CoopInsertion-v0`` with :class:`ShieldWrapper`'s masks; no action is replaced.
 
     Args:
         shield: None, the default :class:`ShieldMargin`, one, or a mapping of its fields.

@@ -51,10 +51,20 @@ def status(configuration: np.ndarray, packed: np.ndarray) -> int:
     return configuration_status((c[0], c[1], c[2], c[3], c[4], c[5]), unpack(packed))
 
 
+def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:
+    """The ``info`` of each outcome (n,), by columns, which is faster than one by one."""
+    columns = (outcomes[name].tolist() for name in (*INFO_FIELDS, "terms"))
+    return [_info(row, row[-1]) for row in zip(*columns, strict=True)]
+
+
 def make_info(outcome: tuple[Any, ...]) -> dict[str, Any]:
     """The ``info`` of an outcome, the tuple of its fields."""
-    info = dict(zip(_KEYS, (outcome[0], *outcome), strict=False))
-    info["reward_terms"] = dict(zip(TERMS, outcome[len(INFO_FIELDS)].tolist(), strict=True))
+    return _info(outcome, outcome[len(INFO_FIELDS)].tolist())
+
+
+def _info(values: tuple[Any, ...], terms: list[float]) -> dict[str, Any]:
+    info = dict(zip(_KEYS, (values[0], *values), strict=False))
+    info["reward_terms"] = dict(zip(TERMS, terms, strict=True))
     return info
 
 

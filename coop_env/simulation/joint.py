@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from coop_env.compilation import njit
-from coop_env.kinematics import rrs_kernels
+from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.simulation import dynamics, observation, state
-from coop_env.simulation.collision import below_ceiling
-from coop_env.simulation.state import HOLD, VALID, Record
+from coop_env.simulation.collision import below_ceiling, collides
+from coop_env.simulation.state import HOLD, Record
 from coop_env.simulation.task import N_ACTIONS, EnvParams, unpack
 
 N_CHOICES: Final = 7
@@ -103,13 +103,29 @@ def joint_masks(states: np.ndarray, packed: np.ndarray, masks: np.ndarray) -> No
         for action in range(N_JOINT):
             delta, rrs = action // N_CHOICES, action % N_CHOICES
             masks[i, action] = own[0, DELTA, delta] and own[0, RRS, rrs]
-            if masks[i, action] and p.task.mask_singularities:
-                d = state.neighbour(states[i], move_of(DELTA, delta), p)
-                r = state.neighbour(states[i], move_of(RRS, rrs), p)
-                c = (d[0], d[1], d[2], r[3], r[4], r[5])
-                free = not below_ceiling(c, p) or state.configuration_status(c, p) == VALID
-                masks[i, action] = free
-        if p.task.mask_singularities:  # beside a robot that holds
-            agent_masks(states[i : i + 1], packed, True, own)
+        if p.task.mask_singularities:
+            _forbid_collisions(states[i], p, masks[i])
+            agent_masks(states[i : i + 1], packed, True, own)  # beside a robot that holds
             masks[i, HOLD_CHOICE::N_CHOICES] = own[0, DELTA]
             masks[i, N_CHOICES * HOLD_CHOICE :] = own[0, RRS]
+
+
+@njit(cache=True)
+def _forbid_collisions(s: Record, p: EnvParams, mask: np.ndarray) -> None:
+    """Take joint actions out of ``mask (49,)`` in which both move and after which they touch."""
+    thetas = np.empty((N_CHOICES, 3))  # found once for each move, not for each pair
+    for delta in range(HOLD_CHOICE):
+        d = state.neighbour(s, move_of(DELTA, delta), p)
+        _, theta = delta_kernels.inverse(d[0], d[1], d[2], p.delta)
+        for k in range(3):
+            thetas[delta, k] = theta[k]
+    for rrs in range(HOLD_CHOICE):
+        r = state.neighbour(s, move_of(RRS, rrs), p)
+        pose = rrs_kernels.platform_pose(r[3], r[4], r[5], p.rrs)
+        _, q = rrs_kernels.inverse(pose, p.rrs)
+        for delta in range(HOLD_CHOICE):
+            action = N_CHOICES * delta + rrs
+            d = state.neighbour(s, move_of(DELTA, delta), p)
+            if mask[action] and below_ceiling((d[0], d[1], d[2], r[3], r[4], r[5]), p):
+                theta = (thetas[delta, 0], thetas[delta, 1], thetas[delta, 2])
+                mask[action] = not collides(d[0], d[1], d[2], theta, pose, q, p)

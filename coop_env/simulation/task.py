@@ -133,9 +133,11 @@ def make_params(
             f"the 3-RRS cannot take its home pose at home_heave = {rrs.home_heave} m within "
             "its joint limits: choose other lengths, another height or wider limits"
         )
+    if p.task.visited == 0:
+        return p
     low, high = axis_bounds(p)  # a memory of KEY_SPAN points along an axis tells them apart
     for least, step in zip((high - low) / (KEY_SPAN - 2), task.steps, strict=True):
-        if p.task.visited > 0 and step < least:
+        if step < least:
             raise ArgumentError(
                 f"mask_visited needs steps of at least {least:.2g} here, not {step:.2g}: make them "
                 "larger or leave mask_visited at 0"

@@ -28,9 +28,9 @@ class CoopInsertionTeamVecEnv(CoopInsertionVecEnv):
 
     Row ``2 i`` is the Delta of team i and row ``2 i + 1`` its 3-RRS, as SuperSuit stacks them; what
     they observe and may do is :class:`~coop_env.team.parallel_env.CoopInsertionParallelEnv`'s, bit
-    for bit. Rewards and ends are the team's, and the last infos of
-    :class:`~coop_env.vector.vec_env.CoopInsertionVecEnv` are in both rows. ``indices`` of methods
-    are of rows; ``envs`` are the teams.
+    for bit. Rewards and ends are the team's; ``terminal_observation``, ``terminal_action_mask`` and
+    ``TimeLimit.truncated`` are in both rows. ``indices`` of methods are of rows; ``envs`` are the
+    teams.
 
     Args:
         n_teams: number of teams; there are ``num_envs = 2 n_teams`` rows.

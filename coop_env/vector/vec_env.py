@@ -90,7 +90,8 @@ class CoopInsertionVecEnv(VecEnv):
 
     def _infos(self) -> Infos:
         """A dictionary for each row: SB3's wrappers write into them."""
-        return [batch.make_info(out) for out in self._spread(self._vector.outcomes.tolist())]
+        infos = batch.make_infos(self._vector.outcomes)
+        return infos if self.rows_each == 1 else [dict(info) for info in self._spread(infos)]
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take the actions (num_envs,) of the next :meth:`step_wait`.
@@ -143,7 +144,7 @@ class CoopInsertionVecEnv(VecEnv):
         return [getattr(env, attr_name) for env in self._targets(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute (``stage``, say) of the rows' environments; ArgumentError, if none."""
+        """Set an attribute (``stage``, say) of the rows' environments, of all or of none."""
         targets = self._targets(indices)
         vector_env.set_attributes(targets, attr_name, [value] * len(targets))
 

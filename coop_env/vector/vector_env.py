@@ -106,6 +106,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
                 row = getattr(self, name)[i : i + 1]
                 row[:] = getattr(env, f"_{name}")
                 setattr(env, f"_{name}", row)
+        self._started = False
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in _SHARED}
@@ -118,7 +119,8 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return copy.deepcopy(self)  # two batches cannot have the same environments' rows
 
     def _require_start(self) -> None:
-        if not all(env._started for env in self.envs):
+        self._started = self._started or all(env._started for env in self.envs)
+        if not self._started:
             raise ResetNeeded("call reset() first: there are no running episodes")
 
     def check_options(self, options: Any) -> list[Any]:
@@ -140,7 +142,12 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return list(options)
 
     def start(self, seeds: Sequence[int | None], options: Sequence[Any]) -> None:
-        """Start all episodes; ResetOptionError, before any, if an option fits no more."""
+        """Start all episodes, one after another.
+
+        Raises:
+            ResetOptionError: an option is malformed, before anything is reset, or names a state
+                that cannot be taken: then those before it are reset, and no move is pending.
+        """
         self.check_options(options)
         self.pending = False
         for env, seed, own in zip(self.envs, seeds, options, strict=True):
@@ -179,7 +186,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return check_actions(actions, self.num_envs, int(self.envs[0].action_space.n))
 
     def move(self) -> NDArray[np.int64]:
-        """Make the moves taken; the indices of the episodes that end. NoAsyncCallError, if none."""
+        """Make the moves taken, NoAsyncCallError without; the indices of the episodes that end."""
         if not self.pending:
             self._require_start()
             raise NoAsyncCallError("step_wait() without step_async(): no actions", "step")
@@ -279,6 +286,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
     def _go_to(self, snapshot: Mapping[str, Any]) -> None:
         self.actions[:] = self._checked(snapshot["actions"])
         self.pending = check_flag("pending", snapshot["pending"])
+        self._started = False
         keys = ("started", "stages", "rngs")
         if any(len(snapshot[key]) != self.num_envs for key in keys):
             raise StateError(f"{', '.join(keys)} must have {self.num_envs} entries each")
@@ -293,8 +301,8 @@ def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> Non
     """Set an attribute, a value for each environment, of all or of none; ArgumentError."""
     done: list[tuple[Any, Any]] = []
     try:
-        for env, value in zip(envs, values, strict=True):
-            old = getattr(env, name)
+        before = [getattr(env, name) for env in envs]  # some may be there twice
+        for env, old, value in zip(envs, before, values, strict=True):
             setattr(env, name, value)
             done.append((env, old))
     except Exception as error:

@@ -85,6 +85,10 @@ class NoisyLinear(nn.Module):
         share_noise_(epsilon_out, self.outputs_per_noise)
         if epsilon_in.ndim == 1:
             self.epsilon_rows = None
+            if self.epsilon_in.is_inference():  # copied there: nobody could write into it
+                with th.inference_mode(False):
+                    self.epsilon_in = th.empty_like(self.epsilon_in)
+                    self.epsilon_out = th.empty_like(self.epsilon_out)
             self.epsilon_in.copy_(epsilon_in)
             self.epsilon_out.copy_(epsilon_out)
         else:

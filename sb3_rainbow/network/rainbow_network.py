@@ -190,7 +190,10 @@ class RainbowNetwork(AsVector, BasePolicy):
         """
         together = self.layers_drawn_together()
         if together:  # one call of the generator takes a fraction of the time of many
-            sizes = [n for layer in together for n in (layer.in_features, layer.out_features)]
+            noises = (
+                noise for layer in together for noise in (layer.epsilon_in, layer.epsilon_out)
+            )
+            sizes = [noise.numel() for noise in noises]
             shape = (sum(sizes),) if n_envs == 1 else (n_envs, sum(sizes))
             parts = iter(scale_noise_(self.support.new_empty(shape).normal_()).split(sizes, dim=-1))
             for layer in together:

@@ -49,7 +49,7 @@ class AsVector(BaseModel):
     def separate(self) -> None:
         """Give each weight, noise and moment a memory of its own: pickle stores memory whole."""
         optimizer = getattr(self, "optimizer", None)
-        states = optimizer.state.values() if optimizer is not None else ()
+        states = getattr(optimizer, "state", {}).values()  # a wrapper may have none
         _separate(v for state in states for v in state.values() if isinstance(v, th.Tensor))
         noisy = [m for m in self.modules() if isinstance(m, NoisyLinear)]
         _separate([*self.parameters(), *(e for layer in noisy for e in layer.buffers())])

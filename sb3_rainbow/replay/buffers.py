@@ -176,7 +176,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             )
         current, following = self._store.cast(obs), self._store.cast(next_obs)
         # Left in the middle, as when someone resets the env
-        self.truncate(self._store.interrupted(current))
+        self._truncate(self._store.interrupted(current))
         pos = self.pos
         if self.full:
             overwritten = pos * self.n_envs + np.arange(self.n_envs, dtype=np.int64)
@@ -203,13 +203,15 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self.full = True
             self.pos = 0
 
-    def truncate(self, which: NDArray[np.bool_] | None = None) -> None:
-        """Truncate the episodes that run in all envs, or ``which``, as these are being reset."""
-        if not self.size() or (which is not None and not which.any()):
+    def truncate(self) -> None:
+        """Truncate the episodes that run, as the envs are reset in the middle of them."""
+        self._truncate(np.ones(self.n_envs, bool))
+
+    def _truncate(self, which: NDArray[np.bool_]) -> None:
+        if not self.size() or not which.any():
             return
         newest = (self.pos - 1) % self.buffer_size
-        running = self.ends[newest] == RUNNING
-        which = running if which is None else which & running
+        which = which & (self.ends[newest] == RUNNING)
         for env in np.flatnonzero(which).tolist():
             self.ends[newest, env] = TRUNCATED
             self._store.keep_newest(newest, env)

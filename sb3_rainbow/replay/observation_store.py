@@ -138,7 +138,7 @@ class ObservationStore:
         following: Rows = {}
         held = np.flatnonzero(next_slots >= 0)
         for key, values in self._rows.items():
-            flat = values.reshape(-1, *values.shape[2:])
+            flat = values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
             current[key] = flat.take(leaves, axis=0)
             following[key] = flat.take(next_rows, axis=0)
             following[key][held] = self._boundary[key][next_slots[held]]

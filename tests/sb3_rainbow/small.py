@@ -30,7 +30,7 @@ def make(policy: Any = "MlpPolicy", env: Any = "CartPole-v1", **settings: Any) -
 
 
 class Toy(gym.Env):
-    """Shows and pays what functions of the number of steps say, and is cut after ``length``.
+    """Shows and pays what functions of the number of steps say, and ends after ``length``.
 
     By default it shows what its space draws, and pays 1.
     """
@@ -41,9 +41,11 @@ class Toy(gym.Env):
         shown: Callable[[int], Any] | None = None,
         paid: Callable[[int], float] = lambda step: 1.0,
         length: int | None = None,
+        terminated: bool = False,
     ) -> None:
         self.observation_space, self.action_space = space, spaces.Discrete(2)
         self.shown, self.paid, self.length = shown, paid, length
+        self.terminated = terminated
         self.steps = 0
 
     def _observation(self) -> Any:
@@ -55,7 +57,9 @@ class Toy(gym.Env):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         self.steps += 1
-        return self._observation(), self.paid(self.steps), False, self.steps == self.length, {}
+        over = self.steps == self.length
+        ends = (over, False) if self.terminated else (False, over)
+        return self._observation(), self.paid(self.steps), *ends, {}
 
 
 class Extracting(BaseFeaturesExtractor):

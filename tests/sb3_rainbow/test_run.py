@@ -62,13 +62,16 @@ def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:
     assert ours == [*dqn, "use_masking"]
 
 
+PAIR = spaces.Dict(a=spaces.Discrete(3), b=spaces.Box(0, 1))
+
+
 @pytest.mark.parametrize(
     ("env", "policy"),
     [
-        (lambda: Toy(spaces.MultiBinary(5)), "MlpPolicy"),
-        (lambda: Toy(spaces.MultiDiscrete([3, 4])), "MlpPolicy"),
+        (lambda: Toy(spaces.MultiBinary(5), length=9, terminated=True), "MlpPolicy"),
+        (lambda: Toy(spaces.MultiDiscrete([3, 4]), length=9), "MlpPolicy"),
         (lambda: Toy(spaces.Box(-1.0, 1.0, (2, 3), np.float64), length=9), "MlpPolicy"),
-        (lambda: Toy(spaces.Dict(a=spaces.Discrete(3), b=spaces.Box(0, 1))), "MultiInputPolicy"),
+        (lambda: Toy(PAIR, length=9, terminated=True), "MultiInputPolicy"),
         (lambda: gym.make("CliffWalking-v1"), "MlpPolicy"),
         (lambda: FakeImageEnv(screen_height=36, screen_width=36, n_channels=1), "CnnPolicy"),
         (lambda: SimpleMultiObsEnv(random_start=False), "MultiInputPolicy"),

@@ -174,7 +174,7 @@ def difficulty(results: Results) -> Table:
         cells = [row.cell(row.as_trained().success()) for row in rows]
         made.append([track.replace("_", " "), *cells])
     notes = [
-        *paper.seeds_notes(result),
+        *paper.seeds_notes(result, [f"{row.name}, {row.geometry} geometry" for row in result]),
         *_gains(results),
         "As stated: 10 mm and 5 degrees, moves of 20 mm and 0.03 rad, holes at 30 degrees, a "
         "collision refuses the move. Scripts act with 5 % of random moves, Rainbow as trained, all "

@@ -37,7 +37,12 @@ def performance(results: Results) -> Table:
     for metric in _metrics(result):
         printed = paper_values.PERFORMANCE.get(metric.key, {})
         papers = [printed.get(row.method, "-") for row in result]
-        ours = [row.measure(metric, paper) for row, paper in zip(result, papers, strict=True)]
+        ours = [
+            row.measure(metric, paper)
+            if metric is JOINTS_TIME
+            else row.cell(row.value(metric), metric.digits, paper)
+            for row, paper in zip(result, papers, strict=True)
+        ]
         made.append([metric.label, *_in_pairs(papers, ours)])
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])

@@ -2,7 +2,8 @@
 
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
 by time, with errors up to 3 mm. The tests have errors of fixed size to any side, or as the task
-draws them. Last, a search inserts with other timesteps, contacts and play, and a film is drawn.
+draws them; tilt and friction are always the task's. Last, a search inserts with other timesteps,
+contacts and play, and a film is drawn.
 """
 
 import math

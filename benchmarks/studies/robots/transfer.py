@@ -1,11 +1,12 @@
 """Policies and planners of the kinematic task in the simulated machine: the sim-to-sim table.
 
-All play the same test starts in the kinematic task, in the twin without errors of the machine, in
-the twin with them, and there with a script or a learner that inserts where they have arrived. Plans
-are made on the nominal model, hole by hole, and run open loop; a player stops where a plan does not
-bring it to its hole. The scripts have the gains that the study ``contact`` chose, the learners are
-of preset ``contact``, a policy for each seed. Where the policies of ``contact_errors`` are there,
-too, all insert on machines within the errors trained on and outside of them.
+The exact optimum, RRT-Connect, the two-move lookahead and Rainbow's stored policies play the same
+test starts in the kinematic task, in the twin without errors of the machine, in the twin with them,
+and there with a script or a learner that inserts where they have arrived. Plans are made on the
+nominal model, hole by hole, and run open loop; a player stops where a plan does not bring it to its
+hole. The scripts have the gains that the study ``contact`` chose, the learners are of preset
+``contact``, a policy for each seed. Where the policies of ``contact_errors`` are there, too,
+scripts and learners insert on machines within the errors trained on and outside of them.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -230,6 +230,13 @@ def test_runs_of_other_settings_are_no_seeds_of_one_method(tmp_path: Path) -> No
         Results(store)
 
 
+def test_a_run_of_another_schema_is_in_no_table(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, [0])
+    (store.run("optimum-optimized-s0").path / "meta.json").write_text('{"schema": 99}', "utf-8")
+    with pytest.raises(BenchmarkError, match="has results schema 99, this version reads 1"):
+        Results(store)
+
+
 def test_markup_of_tables_is_escaped() -> None:
     flagged = Number(Value(76.0, 0.5, 3, low=66.0, high=83.0), 1, paper="95 ± 2")
     table = Table("t", "50 % & more", ["a|b", "x_1"], [["p < 0.01", flagged]], ["100 %"])
@@ -359,6 +366,7 @@ def test_a_level_has_the_rows_that_were_played_at_it(
 def test_rows_of_older_runs_under_other_masks_are_left_out(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     (tmp_path / "config.yaml").write_text("cell: {seed: 4}\ntrack: {}\n", encoding="utf-8")
+    (tmp_path / "meta.json").write_text('{"schema": 1}', encoding="utf-8")
     rows = ROWS.assign(masks=["own", np.nan, "paper", "own"])
     rows.to_csv(tmp_path / "episodes.csv", index=False)
     result = Result.read(folder)

@@ -228,8 +228,10 @@ def test_snapshots_of_another_environment() -> None:
         (CoopInsertionTeamVecEnv(2), CoopInsertionTeamVecEnv(3)),
     ]
     for env, other in pairs:
+        before = repr(env.get_state())
         with pytest.raises(StateError, match=r"other arguments|another layout"):
             env.set_state(other.get_state())
+        assert repr(env.get_state()) == before
     with pytest.raises(StateError, match="keys"):
         CoopInsertionEnv().set_state({})
 

@@ -7,6 +7,7 @@ import pytest
 from stable_baselines3.common.vec_env import VecMonitor
 
 from coop_env import CoopInsertionTeamVecEnv
+from coop_env.errors import ArgumentError
 from coop_env.team.agents import Team
 
 ARGUMENTS: list[dict[str, Any]] = [
@@ -75,3 +76,12 @@ def test_attributes_options_and_wrappers() -> None:
     assert batch.env_is_wrapped(VecMonitor) == [False] * 4  # type: ignore[arg-type]
     assert len(batch.get_images()) == 2
     batch.close()
+
+
+def test_an_attribute_is_set_for_all_teams_or_for_none() -> None:
+    teams = CoopInsertionTeamVecEnv(2)
+    first: Any = teams.envs[0]
+    first.mark = 1  # which the second team has not
+    with pytest.raises(ArgumentError):
+        teams.set_attr("mark", 2)
+    assert first.mark == 1

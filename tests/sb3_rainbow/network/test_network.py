@@ -259,6 +259,13 @@ def test_a_prediction_in_inference_mode_leaves_a_copy_able_to_learn() -> None:
     policy.optimizer.step()
 
 
+def test_a_copy_made_in_inference_mode_explores_outside_of_it() -> None:
+    with th.inference_mode():
+        policy = copy.deepcopy(make_policy())
+    policy.q_net.reset_noise()
+    policy.predict(np.zeros(4, np.float32), deterministic=False)
+
+
 SMALL_IMAGES = spaces.Box(0, 255, (1, 40, 40), np.uint8)
 
 

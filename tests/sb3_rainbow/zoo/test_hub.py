@@ -136,6 +136,15 @@ def test_settings_can_be_changed_but_not_what_the_weights_were_trained_for() -> 
         hub.load(path, v_max=7.0)
 
 
+def test_a_head_that_is_left_to_the_default_is_the_one_of_the_arguments() -> None:
+    path = package(model_of())
+    assert hub.load(path, v_min=None, v_max=None).distributional == "quantile"
+    ranged = package(model_of(v_min=0.0, v_max=100.0), "ranged")
+    assert hub.load(ranged, distributional=None).distributional == "categorical"
+    with pytest.raises(ZooError, match="v_max without v_min"):
+        hub.load(ranged, v_min=None)
+
+
 def test_a_downloaded_model_is_enjoyed_and_trained_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
