@@ -35,7 +35,6 @@ myst_heading_anchors = 4  # those that GitHub gives
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
-autodoc_preserve_defaults = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
@@ -58,15 +57,20 @@ ARRAYS = (
     (re.compile(r"~numpy\.ndarray\[tuple\[[^\]]*\], ~?numpy\.dtype\[(.*?)\]\]"), r"NDArray[\1]"),
     (re.compile(r"~numpy\._typing\.\S*_Buffer.*?bytes.*?\]\]"), "ArrayLike"),
 )
+# a default that is an object, with the fields of tuples in it
+PROBLEM = re.compile(r"DesignProblem\((?:[^()]|\([^()]*\))*\)")
 
 
-def shorten_arrays(app: Sphinx, what: str, name: str, *_: Any) -> None:
-    """Types of the parameters as the sources have them."""
+def shorten_arrays(
+    app: Sphinx, what: str, name: str, value: Any, options: Any, signature: str | None, returns: Any
+) -> tuple[str, Any] | None:
+    """Types and defaults of the parameters as the sources have them."""
     types = app.env.current_document.autodoc_annotations.get(name, {})
     for parameter, text in types.items():
         for long, short in ARRAYS:
             text = long.sub(short, text)
         types[parameter] = text
+    return (PROBLEM.sub("PAPER_PROBLEM", signature), returns) if signature else None
 
 
 def skip_fields(app: Sphinx, what: str, name: str, value: Any, *_: Any) -> bool | None:
