@@ -45,10 +45,10 @@ class Rainbow(ResumableAlgorithm):
     ``n_steps`` (off: 1), ``noisy`` (off: epsilon-greedy alone), ``distributional`` (off: Huber loss
     on scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
 
-    The defaults are for small tasks, of some ten thousand steps, where Hessel et al.'s, which are
-    for 200 million frames of Atari, learn nothing: a higher rate, more updates, a target that
-    follows sooner, quantiles, which need no support, and a little epsilon, as noise alone tries
-    some actions too seldom. ``Rainbow(..., **sb3_rainbow.HESSEL)`` has theirs.
+    The defaults are for small tasks, of some ten thousand steps: a higher rate, more updates and a
+    target that follows sooner than in Hessel et al., quantiles, which need no support, and a little
+    epsilon, as noise alone tries some actions too seldom. ``Rainbow(..., **sb3_rainbow.HESSEL)``
+    has theirs, which are for 200 million frames of Atari and learn nothing on small tasks.
 
     Args:
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.

@@ -106,7 +106,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
                 row = getattr(self, name)[i : i + 1]
                 row[:] = getattr(env, f"_{name}")
                 setattr(env, f"_{name}", row)
-        self._started = False
+        self._started = False  # kept, as every step asks for it
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in _SHARED}

@@ -221,17 +221,13 @@ def test_a_preset_of_ones_own_has_the_tables_that_it_fills(tmp_path: Path) -> No
     assert "leaderboard" not in Insertion("smoke").printed
 
 
-def test_runs_of_other_settings_are_no_seeds_of_one_method(tmp_path: Path) -> None:
+def test_runs_of_other_settings_or_of_another_schema_are_in_no_table(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0, 1])
     path = store.run("rainbow-optimized-safe-s1").path / "config.yaml"
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("gamma: 0.93", "gamma: 0.99"), encoding="utf-8")
     with pytest.raises(BenchmarkError, match=r"s0 and .*s1 differ .*gamma: 0.93 -> 0.99\)"):
         Results(store)
-
-
-def test_a_run_of_another_schema_is_in_no_table(tmp_path: Path) -> None:
-    store = fabricated_store.make_store(tmp_path, [0])
     (store.run("optimum-optimized-s0").path / "meta.json").write_text('{"schema": 99}', "utf-8")
     with pytest.raises(BenchmarkError, match="has results schema 99, this version reads 1"):
         Results(store)

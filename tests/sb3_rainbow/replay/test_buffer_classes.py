@@ -206,3 +206,18 @@ def test_a_buffer_beyond_the_memory_is_a_warning(monkeypatch: pytest.MonkeyPatch
         buffer.add(obs, obs, np.zeros(1), np.zeros(1), np.zeros(1), [{}], masks)
     Memory.available = 10**9
     make(300, box)
+
+
+def test_a_subclass_may_hear_that_the_envs_are_reset() -> None:
+    class Hearing(PrioritizedReplayBuffer):
+        heard = 0
+
+        def truncate(self) -> None:
+            self.heard += 1
+            super().truncate()
+
+    model = make(replay_buffer_class=Hearing)
+    buffer: Any = model.learn(30).replay_buffer
+    before = buffer.heard
+    model.learn(30)
+    assert buffer.heard == before + 1
