@@ -59,10 +59,11 @@ def _own_limits(s: Record, move: int, p: EnvParams) -> bool:
     c = state.neighbour(s, move, p)
     if move < 6:
         return state.delta_valid(c, p)
-    if not p.task.mask_singularities:
-        return state.rrs_valid(c, p)
-    sigma = rrs_kernels.sigma_at(c[3], c[4], c[5], p.rrs)
-    return state.rrs_valid(c, p) and not state.is_singular(sigma, p)
+    if not state.rrs_valid(c, p):
+        return False
+    return not p.task.mask_singularities or not state.is_singular(
+        rrs_kernels.sigma_at(c[3], c[4], c[5], p.rrs), p
+    )
 
 
 @njit(cache=True)
