@@ -34,13 +34,14 @@ myst_heading_anchors = 4  # those that GitHub gives
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
-autodoc_typehints_description_target = "documented_params"
+autodoc_typehints_description_target = "all"
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 # What others document: their inventories would need the network.
-OTHERS = ("collections", "contextlib", "gym", "gymnasium", "io", "numpy", "os", "pandas", "pathlib",
-          "pettingzoo", "rich", "stable_baselines3", "torch", "typing", "xml")  # fmt: skip
+OTHERS = ("collections", "contextlib", "gym", "gymnasium", "io", "numpy", "optuna", "os", "pandas",
+          "pathlib", "pettingzoo", "rich", "stable_baselines3", "torch", "typing",
+          "xml")  # fmt: skip
 NAMES = ("ArrayLike", "BaseCallback", "ClosedEnvironmentError", "Console", "DependencyNotInstalled",
          "Env", "Figure", "NDArray", "NoAsyncCallError", "ResetNeeded", "VecEnv", "WrapperActType",
          "WrapperObsType")  # fmt: skip
@@ -50,6 +51,9 @@ nitpick_ignore_regex = [
     ("py:.*", "|".join(NAMES)),
     ("py:.*", r"(.*\.)?(Self[A-Z]\w+|C|P|Act|MakeEnv)"),  # type variables, names of types
     ("py:class", r"coop_env\.physics\.(batch|contact|whole)\.\w+"),
+    # arguments that the functions of one's own make
+    ("py:class", r"benchmarks\.protocol\.presets\.\w+"),
+    ("py:class", r"coop_env\..*\.(Delta|Task|Reward)Params|coop_env\..*\.Disturbance"),
 ]
 
 # numpy spells its two names for arrays out, over several lines
