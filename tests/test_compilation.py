@@ -8,6 +8,7 @@ from typing import Any
 
 import numba
 import pytest
+from numba.core import event
 
 import sb3_rainbow
 from coop_env import compilation
@@ -121,8 +122,11 @@ def test_a_kernel_compiles_once_for_all_constants_that_others_pass_to_it() -> No
         return compiled(x, 0) + compiled(x, 1) + compiled(x, k=2)
 
     calls: Any = numba.njit(outer)
-    assert calls(3.0) == 9.0
-    assert len(compiled.signatures) == 1
+    with event.install_recorder("numba:compile") as recorder:
+        assert calls(3.0) == 9.0
+    begun = [e.data["dispatcher"].py_func for _, e in recorder.buffer if e.is_start]
+    assert begun.count(inner) == 1
+    assert compiled(3.0, 2) == 6.0  # and from Python
 
 
 def test_both_packages_hold_the_same_file() -> None:

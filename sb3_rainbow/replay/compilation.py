@@ -14,6 +14,7 @@ from typing import Any
 
 import numba
 from numba.core import event, types
+from numba.core.caching import IndexDataCacheFile
 
 PACKAGE = __name__.partition(".")[0]
 _DECLARES = re.compile(r"^from .* import .*\b(njit|intrinsic)$", re.MULTILINE)
@@ -47,44 +48,57 @@ def _newest_kernel(folder: Path, pattern: str) -> float:
     return max((f.stat().st_mtime for f in kernels), default=0.0)
 
 
-def _compile(function: Callable, **options: Any) -> Any:
-    """numba's dispatcher, whose cache is of now: older than no kernel that this one may call.
+def _dispatcher(function: Callable, options: dict[str, Any], suffix: str = "") -> Any:
+    """numba's, whose cache is of now: older than no kernel that this one may call.
 
-    Those are its neighbours and this package's.
+    Those are its neighbours and this package's. ``suffix`` goes to the names of the cache's files.
     """
-    compiled = numba.njit(**options)(function)
-    stats = getattr(compiled, "stats", None)  # none under NUMBA_DISABLE_JIT
-    if stats and stats.cache_path:
-        os.makedirs(stats.cache_path, exist_ok=True)  # for sources in an archive numba looks later
-        own = _newest_kernel(Path(function.__code__.co_filename).parent, "*.py")
-        package = Path(str(sys.modules[PACKAGE].__file__)).parent
-        index = compiled._cache._cache_file
-        index._source_stamp = (index._source_stamp, own, _newest_kernel(package, "**/*.py"))
-    return compiled
-
-
-def njit(**options: Any) -> Callable[[Callable], Any]:
-    """numba's, cached where a folder for that can be written; one signature for all constants."""
-    options["no_cfunc_wrapper"] = True  # for C callbacks, of which there are none: an eighth less
-
-    def decorate(function: Callable) -> Any:
-        try:
-            compiled = _compile(function, **options)
-        except (OSError, RuntimeError) as error:
-            if isinstance(error, RuntimeError) and "no locator available" not in str(error):
-                raise
+    try:
+        compiled = numba.njit(**options)(function)
+        stats = getattr(compiled, "stats", None)  # none under NUMBA_DISABLE_JIT
+        if stats and stats.cache_path:
+            # for sources in an archive numba looks later
+            os.makedirs(stats.cache_path, exist_ok=True)
+            own = _newest_kernel(Path(function.__code__.co_filename).parent, "*.py")
+            package = Path(str(sys.modules[PACKAGE].__file__)).parent
+            kept = compiled._cache
+            stamp = kept._cache_file._source_stamp, own, _newest_kernel(package, "**/*.py")
+            base = kept._impl.filename_base + suffix
+            kept._cache_file = IndexDataCacheFile(stats.cache_path, base, stamp)
+        return compiled
+    except (OSError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "no locator available" not in str(error):
+            raise
+        if _announcer.again:  # has not been said
             _announcer.again = (
                 "in every process anew, as no folder for numba's cache can be written: set "
                 "NUMBA_CACHE_DIR to one that can"
             )
-            compiled = numba.njit(**{**options, "cache": False})(function)
-        template: Any = getattr(compiled, "get_call_template", None)
+        return numba.njit(**{**options, "cache": False})(function)
+
+
+def njit(**options: Any) -> Callable[[Callable], Any]:
+    """numba's, cached where a folder for that can be written; one signature for all constants.
+
+    Other kernels call a twin that Python cannot call: a third of a first compilation would go to
+    entries from Python, which all kernels but a few never need.
+    """
+    options["no_cfunc_wrapper"] = True  # an entry from C, which nobody needs
+
+    def decorate(function: Callable) -> Any:
+        compiled = _dispatcher(function, options)
+
+        @cache
+        def twin() -> Any:
+            return _dispatcher(function, {**options, "no_cpython_wrapper": True}, ".inner")
 
         def get_call_template(args: Any, kws: Any) -> Any:
             named = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
-            return template([types.unliteral(kind) for kind in args], named)
+            return twin().get_call_template([types.unliteral(kind) for kind in args], named)
 
+        # of what numba asks a kernel for where another one calls it
         compiled.get_call_template = get_call_template
+        compiled.get_overload = lambda kinds: twin().get_overload(kinds)
         return compiled
 
     return decorate
