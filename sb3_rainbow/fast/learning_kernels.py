@@ -16,6 +16,8 @@ from sb3_rainbow.fast.mlp_kernels import (
     Matrix,
     Table,
     Vector,
+    by_action,
+    rows_of,
     weights_of,
 )
 from sb3_rainbow.replay.compilation import njit
@@ -212,32 +214,34 @@ def backward(
     delta = np.empty((batch, n_in), np.float32)
     np.dot(slope, common, delta)
     first_stream = 1 if dueling else 0
-    n_streams = n_out // n_atoms
-    # Action by action, so that its rows stay in the processor's nearest cache
-    for a in range(first_stream, n_streams):
-        first = a * n_atoms
-        part, part_bias = flat[a * size : (a + 1) * size], bias[first : first + n_atoms]
-        if dueling:
-            share = np.float32(-1.0 / (n_streams - 1))
-            for k in range(size):
-                part[k] = share * flat[k]
-            for j in range(n_atoms):
-                part_bias[j] = share * bias[j]
+    n_actions = n_out // n_atoms - first_stream
+    order, ends = by_action(actions, n_actions)
+    sorted_units, sorted_slope = rows_of(units, order), rows_of(slope, order)
+    own = np.empty_like(delta)
+    share = np.float32(-1.0 / n_actions)
+    start = 0
+    for a in range(n_actions):
+        first, end = (a + first_stream) * n_atoms, ends[a]
+        part, part_bias = flat[first * n_in : first * n_in + size], bias[first : first + n_atoms]
+        part_bias[:] = 0.0
+        if end > start:
+            rows, slopes = sorted_units[start:end], sorted_slope[start:end]
+            np.dot(slopes.T, rows, weight_gradient[first : first + n_atoms])
+            np.dot(slopes, weight[first : first + n_atoms], own[start:end])
         else:
             part[:] = 0.0
-            part_bias[:] = 0.0
-        for b in range(batch):
-            if actions[b] + first_stream != a:
-                continue
-            unit, back = units[b], delta[b]
+        for k in range(start, end):
+            back, given = delta[order[k]], own[k]
+            for i in range(n_in):
+                back[i] += given[i]
             for j in range(n_atoms):
-                s = slope[b, j]
-                row = weight[first + j]
-                out = weight_gradient[first + j]
-                for i in range(n_in):
-                    out[i] += s * unit[i]
-                    back[i] += s * row[i]
-                part_bias[j] += s
+                part_bias[j] += sorted_slope[k, j]
+        if dueling:
+            for k in range(size):
+                part[k] += share * flat[k]
+            for j in range(n_atoms):
+                part_bias[j] += share * bias[j]
+        start = end
     for layer in range(n_layers - 2, -1, -1):
         n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
         h = table[layer, HIDDEN] * n_seen
