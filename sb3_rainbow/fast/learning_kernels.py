@@ -217,7 +217,7 @@ def backward(
     n_actions = n_out // n_atoms - first_stream
     order, ends = by_action(actions, n_actions)
     sorted_units, sorted_slope = rows_of(units, order), rows_of(slope, order)
-    own = np.empty_like(delta)
+    own = np.empty(delta.shape, np.float32)
     share = np.float32(-1.0 / n_actions)
     start = 0
     for a in range(n_actions):

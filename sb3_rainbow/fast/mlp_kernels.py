@@ -273,9 +273,9 @@ def by_action(
     """Samples sorted by their action, and where those of each action end: one matrix product for
     all of these is quicker than a loop over samples.
     """
-    order, ends = np.empty_like(actions), np.zeros(n_actions, np.int64)
-    for action in actions:
-        ends[action] += 1
+    order, ends = np.empty(actions.shape[0], np.int64), np.zeros(n_actions, np.int64)
+    for b in range(actions.shape[0]):
+        ends[actions[b]] += 1
     total = 0
     for a in range(n_actions):  # where they begin, at first
         total, ends[a] = total + ends[a], total
@@ -288,7 +288,7 @@ def by_action(
 @njit(cache=True)
 def rows_of(matrix: Matrix, order: NDArray[np.int64]) -> Matrix:
     """A copy of rows, in another order."""
-    result = np.empty_like(matrix)
+    result = np.empty(matrix.shape, np.float32)
     for k in range(order.shape[0]):
         row, given = result[k], matrix[order[k]]
         for i in range(row.shape[0]):
@@ -317,7 +317,7 @@ def taken_logits(
     np.dot(units, common.T, logits)
     first_stream = 1 if dueling else 0
     order, ends = by_action(actions, bias.shape[0] // n_atoms - first_stream)
-    sorted_units, own = rows_of(units, order), np.empty_like(logits)
+    sorted_units, own = rows_of(units, order), np.empty(logits.shape, np.float32)
     start = 0
     for a in range(ends.shape[0]):
         first, end = (a + first_stream) * n_atoms, ends[a]
