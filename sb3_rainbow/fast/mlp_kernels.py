@@ -275,6 +275,8 @@ def by_action(
     """
     order, ends = np.empty(actions.shape[0], np.int64), np.zeros(n_actions, np.int64)
     for b in range(actions.shape[0]):
+        if not 0 <= actions[b] < n_actions:
+            raise IndexError("the replay buffer holds an action outside of the action space")
         ends[actions[b]] += 1
     total = 0
     for a in range(n_actions):  # where they begin, at first

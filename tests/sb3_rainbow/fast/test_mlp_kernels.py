@@ -72,6 +72,17 @@ def make_images(seed: int) -> Batch:
 SEEN: dict[str, Any] = {"space": IMAGES, "features_extractor_class": Convolutions, "n_atoms": 11}
 
 
+@pytest.mark.parametrize("action", [-1, N_ACTIONS])
+def test_an_action_outside_of_the_space_is_an_error(action: int) -> None:
+    """As someone who fills a buffer by hand may leave it; torch refuses it too."""
+    batch = make_batch(0, masked=False)
+    batch.actions[3] = action
+    with pytest.raises(IndexError, match="outside of the action space"):
+        make_learner(True).update(batch)
+    with pytest.raises(RuntimeError, match="out of bounds"):
+        make_learner(False).update(batch)
+
+
 @pytest.mark.parametrize(
     "kwargs",
     [
