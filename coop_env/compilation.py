@@ -80,8 +80,8 @@ def _dispatcher(function: Callable, options: dict[str, Any], suffix: str = "") -
 def njit(**options: Any) -> Callable[[Callable], Any]:
     """numba's, cached where a folder for that can be written; one signature for all constants.
 
-    Other kernels call a twin that Python cannot call: a third of a first compilation would go to
-    entries from Python, which all kernels but a few never need.
+    Other kernels call a twin that Python cannot call. An entry from Python takes long to compile,
+    and most kernels never need one.
     """
     options["no_cfunc_wrapper"] = True  # an entry from C, which nobody needs
 

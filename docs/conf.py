@@ -65,7 +65,7 @@ ARRAYS = (
 PROBLEM = re.compile(r"DesignProblem\((?:[^()]|\([^()]*\))*\)")
 
 
-def shorten_arrays(
+def shorten(
     app: Sphinx, what: str, name: str, value: Any, options: Any, signature: str | None, returns: Any
 ) -> tuple[str, Any] | None:
     """Types and defaults of the parameters as the sources have them."""
@@ -89,6 +89,6 @@ def download_results(app: Sphinx, name: str, source: list[str]) -> None:
 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
-    app.connect("autodoc-process-signature", shorten_arrays, priority=900)
+    app.connect("autodoc-process-signature", shorten, priority=900)
     app.connect("autodoc-skip-member", skip_fields)
     app.connect("source-read", download_results)

@@ -270,8 +270,8 @@ def shared_weight(
 def by_action(
     actions: NDArray[np.int64], n_actions: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Samples sorted by their action, and where those of each action end: one matrix product for
-    all of these is quicker than a loop over samples.
+    """Samples sorted by their action, and where those of each action end, for one matrix product
+    an action in the place of a loop over samples.
     """
     order, ends = np.empty(actions.shape[0], np.int64), np.zeros(n_actions, np.int64)
     for b in range(actions.shape[0]):
