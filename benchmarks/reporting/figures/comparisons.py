@@ -1,6 +1,6 @@
 """Figures that compare methods on the test episodes: profiles, robustness, ablation."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -14,6 +14,7 @@ from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import N_HOLES
 from benchmarks.protocol.plan import PLANNERS
 from benchmarks.reporting.figures import style
+from benchmarks.reporting.figures.style import Picture
 from benchmarks.reporting.results import Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, mean_band, performance_profile
 from benchmarks.reporting.tables.beyond import PLAYERS, error_levels, tasks
@@ -24,23 +25,21 @@ THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
 Scores = list[NDArray[np.float64]]  # of each seed's test episodes
 
 
-def of_episodes(results: Results) -> style.Drawings:
+def of_episodes(results: Results) -> Iterator[Picture]:
     """Figures of the test episodes, over all tracks: those that have something to compare."""
-    result: style.Drawings = {}
     if (drawn := _drawn(results)) and results.group("optimum").n:
-        result["performance_profile"] = partial(_profiles, results, drawn)
+        yield Picture("performance_profile", partial(_profiles, results, drawn))
     noisy = complete(row for row in results.rows(NOISY) if row.track in ("", results.scored))
     if noisy and len(noise_levels(results)) > 1:
-        result["robustness"] = partial(_robustness, results, noisy)
+        yield Picture("robustness", partial(_robustness, results, noisy))
     if error_levels(results):
-        result["errors"] = partial(_errors, results)
+        yield Picture("errors", partial(_errors, results))
     components = complete(
         results.group("rainbow", results.scored, ablation=name) for name in labels.ABLATIONS
     )
     if any(row.ablation not in labels.ALL_OR_NONE for row in components):
         references = results.references(results.scored)
-        result["ablation_comparison"] = partial(_components, components, references)
-    return result
+        yield Picture("ablation_comparison", partial(_components, components, references))
 
 
 def by_task(results: Results) -> Figure:

@@ -1,6 +1,6 @@
 """Training curves over seeds: the paper's learning figures and ours beyond them. No torch here."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -17,7 +17,8 @@ from benchmarks.protocol.plan import ABLATIONS
 from benchmarks.protocol.presets import rows_of
 from benchmarks.reporting.figures import style
 from benchmarks.reporting.figures.comparisons import by_task, of_episodes
-from benchmarks.reporting.results import Group, Results, complete
+from benchmarks.reporting.figures.style import Picture
+from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.stats import mean_band, moving_average
 from benchmarks.reporting.tables.beyond import tasks
 
@@ -43,45 +44,37 @@ RAW: Final = ("episode_reward", "duration")  # columns that are shown unsmoothed
 BOUNDED: Final = {"success": SUCCESS, "holes": HOLES}  # by the best control and the optimum
 
 
-def pictures(results: Results) -> list[style.Picture]:
+def pictures(results: Results) -> list[Picture]:
     """All figures of a store."""
-    return [style.Picture(name, draw) for name, draw in _drawings(results).items()]
-
-
-def _drawings(results: Results) -> style.Drawings:
     if groups := _teams(results):  # a store with teams has no others
-        return {"team_success": partial(_over_ticks, groups)}
+        return [Picture("team_success", partial(_over_ticks, groups))]
     if tasks(results):  # a preset about the task
-        return {"difficulty": partial(by_task, results)}
-    result: style.Drawings = {}
-    for track in results.tracks():
-        result |= _learning(results, track) | _variants(results, track)
-    if complete([*results.rows(), *results.rows(uncertain=True)]):
-        result |= of_episodes(results)
-    return result
+        return [Picture("difficulty", partial(by_task, results))]
+    learned = (
+        picture
+        for track in results.tracks()
+        for picture in (*_learning(results, track), *_variants(results, track))
+    )
+    return [*learned, *of_episodes(results)]
 
 
-def _learning(results: Results, track: str) -> style.Drawings:
+def _learning(results: Results, track: str) -> Iterator[Picture]:
     """The paper's seven learning figures of the scored track; of another its success alone."""
     learners = [results.group(method, track) for method in LEARNERS]
     learners.append(results.group("rainbow", track, ablation="none"))
     groups = {group.title: group for group in learners if group.known}
     if not any(group.curves() for group in groups.values()):
-        return {}
+        return
     bounds, scored = results.references(track), track == results.scored
-    result: style.Drawings = {
-        f"{track}_{name}": partial(_curves, groups, column, label, bounds=bounds)
-        for name, (column, label) in CURVES.items()
-        if scored or name == "success"
-    }
+    for name, (column, label) in CURVES.items():
+        if scored or name == "success":
+            yield Picture(f"{track}_{name}", partial(_curves, groups, column, label, bounds=bounds))
     if scored:
-        result[f"{track}_exploration"] = partial(_exploration, groups)
-    return result
+        yield Picture(f"{track}_exploration", partial(_exploration, groups))
 
 
-def _variants(results: Results, track: str) -> style.Drawings:
+def _variants(results: Results, track: str) -> Iterator[Picture]:
     """Success over training of the ablations and of both geometries."""
-    result: style.Drawings = {}
     ablations = {
         title: results.group("rainbow", track, ablation=key)
         for key, title in labels.ABLATIONS.items()
@@ -89,15 +82,14 @@ def _variants(results: Results, track: str) -> style.Drawings:
     shown = [group.ablation for group in ablations.values() if group.curves()]
     if len(shown) > 1 and not labels.ALL_OR_NONE.issuperset(shown):  # which other figures have
         bounds = results.references(track)
-        result[f"{track}_ablation"] = partial(_by_component, ablations, bounds)
+        yield Picture(f"{track}_ablation", partial(_by_component, ablations, bounds))
     geometries = {
         f"{name} geometry": results.group("rainbow", track, name)
         for name in ("optimized", "initial")
     }
     if all(group.curves() for group in geometries.values()):  # each has bounds of its own
         over_steps = partial(_curves, geometries, "success", "Success rate", window=WIDE)
-        result[f"{track}_geometry"] = over_steps
-    return result
+        yield Picture(f"{track}_geometry", over_steps)
 
 
 def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:

@@ -67,9 +67,6 @@ def style() -> AbstractContextManager[None]:
     return matplotlib.rc_context(STYLE)
 
 
-Drawings = dict[str, Callable[[], Figure]]  # by the name of the file
-
-
 @dataclass(frozen=True)
 class Picture:
     """A figure that can be drawn, and its file's name."""
