@@ -4,7 +4,7 @@ Nothing is trained or played again here, and torch is not imported.
 """
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
@@ -33,19 +33,7 @@ def performance(results: Results) -> Table:
     header = ["Metric"]
     for row in result:
         header += [f"{labels.METHODS[row.method]}, paper", "Ours"]
-    made: list[list[TableCell]] = []
-    for metric in _metrics(result):
-        printed = paper_values.PERFORMANCE.get(metric.key, {})
-        papers = [printed.get(row.method, "-") for row in result]
-        ours = [
-            row.measure(metric, paper)
-            if metric is JOINTS_TIME
-            else row.cell(row.value(metric), metric.digits, paper)
-            for row, paper in zip(result, papers, strict=True)
-        ]
-        made.append([metric.label, *_in_pairs(papers, ours)])
-    if any(row.level != MAIN for row in result):
-        made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])
+    made = _by_metric(result, PAPER_METRICS, paper_values.PERFORMANCE)
     stages = stage_notes(result, [row.name for row in result])
     notes = [*_how(result), *seeds_notes(result), *stages, *failure_notes(results), FLAG_NOTE]
     return Table("performance", f"Performance, {labels.track(track)}", header, made, notes)
@@ -56,12 +44,26 @@ def timed(rows: Iterable[Group]) -> bool:
     return any(row.value(JOINTS_TIME).n for row in rows)
 
 
-def _metrics(rows: Iterable[Group], more: Sequence[Metric] = ()) -> list[Metric]:
-    """The paper's metrics and more; below the completion time the joints', where it is known."""
-    result = [*PAPER_METRICS, *more]
+def _by_metric(
+    rows: list[Group], metrics: Iterable[Metric], printed: Mapping[str, Mapping[str, str]]
+) -> list[list[TableCell]]:
+    """A line for each metric, and one for success greedily if the rows act otherwise.
+
+    Below the completion time stands the joints', where it is known. What is ``printed`` of any
+    metric, by method, stands before ours.
+    """
+    metrics = list(metrics)
     if timed(rows):
-        result.insert(1 + result.index(METRICS["time_first"]), JOINTS_TIME)
-    return result
+        metrics.insert(1 + metrics.index(METRICS["time_first"]), JOINTS_TIME)
+    made: list[list[TableCell]] = []
+    for metric in metrics:
+        papers = [printed.get(metric.key, {}).get(row.method, "-") for row in rows]
+        ours = [row.measure(metric, paper) for row, paper in zip(rows, papers, strict=True)]
+        made.append([metric.label, *(_in_pairs(papers, ours) if printed else ours)])
+    if any(row.level != MAIN for row in rows):
+        ours = [row.tested(MAIN) for row in rows]
+        made.append([GREEDILY, *(_in_pairs(["-"] * len(rows), ours) if printed else ours)])
+    return made
 
 
 def _in_pairs(papers: Iterable[str], ours: Iterable[TableCell]) -> list[TableCell]:
@@ -79,12 +81,7 @@ def controls(results: Results) -> Table:
         results.group("optimum"),
     ]
     names = [f"Best script: {row.name}" if row is script else row.title for row in result]
-    made: list[list[TableCell]] = [
-        [metric.label, *(row.measure(metric) for row in result)]
-        for metric in _metrics(result, EXTRA_METRICS)
-    ]
-    if any(row.level != MAIN for row in result):
-        made.append([GREEDILY, *(row.tested(MAIN) for row in result)])
+    made = _by_metric(result, (*PAPER_METRICS, *EXTRA_METRICS), {})
     notes = [*_how(result), *seeds_notes(result, names)]
     title = f"Beside them, under the same masks, {labels.track(track)}"
     return Table("controls", title, ["Metric", *names], made, notes)
