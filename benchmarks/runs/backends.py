@@ -31,11 +31,11 @@ class Job:
     """A run under way, whose output goes to ``log``: a child process."""
 
     def __init__(self, argv: Sequence[str], log: Path) -> None:
-        self.log, self._process = log, spawn(argv, log)
+        self.log, self.process = log, spawn(argv, log)
 
     def poll(self) -> int | None:
         """The process's exit code, None while it runs or waits for its turn."""
-        return self._process.poll()
+        return self.process.poll()
 
     def place(self) -> str | None:
         """Where it runs, in a word or none at all; None while it waits for its turn."""
@@ -47,11 +47,15 @@ class Job:
 
     def stop(self) -> None:
         """Ask it to save and end."""
-        self._process.send_signal(signal.SIGTERM)
+        self.process.send_signal(signal.SIGTERM)
 
     def wait(self, seconds: float) -> None:
         """Wait for its end, and kill it when the time is over."""
-        end(self._process, seconds)
+        try:
+            self.process.wait(max(0.1, seconds))
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
 
 
 class Backend:
@@ -87,15 +91,6 @@ def spawn(argv: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
             env={**os.environ, **PINNED, "PYTHONPATH": found_in},
             start_new_session=True,
         )
-
-
-def end(process: subprocess.Popen[bytes], seconds: float) -> None:
-    """Wait for a process that was asked to stop; kill it when the time is over."""
-    try:
-        process.wait(max(0.1, seconds))
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
 
 
 def default_jobs() -> int:

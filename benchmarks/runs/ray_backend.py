@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job, end, spawn
+from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job
 from benchmarks.runs.store import RunFolder, write_text
 
 RETRIES: Final = 3  # in a row without a step of progress
@@ -38,17 +38,17 @@ def run_remotely(argv: Sequence[str], folder: str, nonce: str) -> int:
     # ray.cancel does nothing where the cluster was started in a script's background, which ignores
     # SIGINT, and its workers with it
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    process = spawn(argv, run.log)
+    job = Job(argv, run.log)
     place = {"nonce": nonce, "host": socket.gethostname(), "pid": os.getpid()}
-    write_text(run.checkpoint / WORKER, json.dumps(place | {"run": process.pid}))
+    write_text(run.checkpoint / WORKER, json.dumps(place | {"run": job.process.pid}))
     try:
-        while process.poll() is None:
+        while job.poll() is None:
             time.sleep(POLL_SECONDS)
     finally:  # ray.cancel raises KeyboardInterrupt here
-        if process.poll() is None:
-            process.send_signal(signal.SIGTERM)
-            end(process, GRACE_SECONDS)
-    return int(process.returncode)
+        if job.poll() is None:
+            job.stop()
+            job.wait(GRACE_SECONDS)
+    return int(job.process.returncode)
 
 
 def _read(path: Path) -> dict[str, Any]:
