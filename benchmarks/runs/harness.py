@@ -2,7 +2,6 @@
 
 import shutil
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -11,7 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from rich.console import Console
+from rich.console import Console, RenderableType
+from rich.live import Live
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
 
@@ -24,6 +24,7 @@ from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import RunFolder, Store
 
 POLL_SECONDS: Final = 0.3
+PER_SECOND: Final = 2  # times that a bar is drawn
 
 
 @dataclass
@@ -221,28 +222,22 @@ class Harness:
 def bar(console: Console, *more: ProgressColumn) -> Progress:
     """The progress bar of all that runs; ``more`` columns stand at its end."""
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
-    return Progress(*columns, Remaining(), *more, console=console, refresh_per_second=2)
+    return Progress(*columns, Remaining(), *more, console=console, refresh_per_second=PER_SECOND)
 
 
 @contextmanager
 def shown(folder: RunFolder, console: Console) -> Iterator[None]:
     """A bar of a run in this process."""
-    over = threading.Event()
-    with bar(console, TextColumn("{task.fields[note]}")) as progress:
-        task = progress.add_task(folder.id, total=1.0, note="")
+    progress = bar(console, TextColumn("{task.fields[note]}"))
+    task = progress.add_task(folder.id, total=1.0, note="")
 
-        def look() -> None:
-            while not over.wait(POLL_SECONDS):
-                done, note = folder.progress()
-                progress.update(task, completed=done, note=note)
+    def look() -> RenderableType:
+        done, note = folder.progress()
+        progress.update(task, completed=done, note=note)
+        return progress.get_renderable()
 
-        watcher = threading.Thread(target=look, daemon=True)
-        watcher.start()
-        try:
-            yield
-        finally:
-            over.set()
-            watcher.join()
+    with Live(console=console, refresh_per_second=PER_SECOND, get_renderable=look):
+        yield
 
 
 def _tail(log: Path, lines: int = 8) -> str:
