@@ -1,8 +1,10 @@
 """What runs cost: seconds per unit of work, as measured in the stored runs, and what is left."""
 
+import heapq
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -57,8 +59,8 @@ class Cost:
 def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) -> list[Cost]:
     """Each cell's state and cost; ``others`` are asked where the store has no run of the kind."""
     own = measure(experiment, [store])
+    elsewhere = cache(lambda: measure(experiment, others))
     result = []
-    elsewhere: Measured | None = None
     for cell in experiment.cells():
         folder, config = store.run(cell.id), experiment.settings(cell)
         folder.check_config(config)
@@ -66,9 +68,7 @@ def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) ->
             result.append(Cost(cell.id, True, 1.0, folder.seconds(), False))
             continue
         kind = experiment.kind(config)
-        if (known := rate(kind, own)) is None:
-            elsewhere = measure(experiment, others) if elsewhere is None else elsewhere
-            known = rate(kind, elsewhere)
+        known = rate(kind, own) or rate(kind, elsewhere())
         share = folder.progress()[0]
         left = (1.0 - share) * experiment.units(config)
         seconds = left * (GUESSED_RATE if known is None else known)
@@ -81,8 +81,7 @@ def wall_seconds(result: Sequence[Cost], jobs: int) -> float:
     free = [0.0] * jobs
     for cost in result:
         if not cost.complete:
-            index = free.index(min(free))
-            free[index] += cost.seconds
+            heapq.heapreplace(free, free[0] + cost.seconds)
     return max(free)
 
 
