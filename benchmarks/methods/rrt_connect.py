@@ -5,6 +5,7 @@ the six-dimensional configuration space scaled so that one move is one unit alon
 the environment's own test of validity and collision; the axes of the robot that waits are held.
 """
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -89,13 +90,10 @@ class RRTConnect:
         planner = og.RRTConnect(setup.getSpaceInformation())
         planner.setRange(4.0)
         setup.setPlanner(planner)
-        checks = 0
-        deadline = time.perf_counter() + self.time_limit
+        checks, deadline = itertools.count(1), time.perf_counter() + self.time_limit
 
         def out_of_budget() -> bool:
-            nonlocal checks
-            checks += 1
-            return checks > self.max_iterations or time.perf_counter() > deadline
+            return next(checks) > self.max_iterations or time.perf_counter() > deadline
 
         setup.setup()
         setup.solve(ob.PlannerTerminationCondition(out_of_budget))

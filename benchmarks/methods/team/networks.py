@@ -31,7 +31,7 @@ class TeamNetwork(RainbowNetwork):
     """Two networks in the place of one, each fed the ``columns`` that its agent sees."""
 
     def __init__(self, columns: Sequence[Sequence[int]], **kwargs: Any) -> None:
-        self.columns = [list(own) for own in columns]
+        self.columns, self._shared = [list(own) for own in columns], kwargs
         super().__init__(**kwargs)
 
     def _build_layers(self) -> None:
@@ -41,17 +41,13 @@ class TeamNetwork(RainbowNetwork):
         for own in self.columns:
             space = spaces.Box(low[own], high[own], dtype=low.dtype.type)
             extractor = FlattenExtractor(space)
-            settings = {
-                name: getattr(self, name)
-                for name in (
-                    *("net_arch", "activation_fn", "normalize_images", "dueling", "noisy"),
-                    *("noisy_layers", "sigma0", "distributional", "n_atoms", "v_min", "v_max"),
-                )
+            own_parts = {
+                "observation_space": space,
+                "action_space": spaces.Discrete(N_CHOICES),
+                "features_extractor": extractor,
+                "features_dim": extractor.features_dim,
             }
-            choices: Any = spaces.Discrete(N_CHOICES)
-            self.agents.append(
-                RainbowNetwork(space, choices, extractor, extractor.features_dim, **settings)
-            )
+            self.agents.append(RainbowNetwork(**{**self._shared, **own_parts}))
 
     @property
     def networks(self) -> list[RainbowNetwork]:
