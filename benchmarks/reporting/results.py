@@ -249,6 +249,7 @@ class Results:
         self.design: RunFolder | None = None
         planned, self._settings = _planned(store)
         self.design_planned = bool(planned.pop((DESIGN, "full", "optimized", ""), 0))
+        self.planned = sum(planned.values())  # runs, beside the design
         runs: dict[Key, list[Result]] = {}
         for folder in store.completed():
             if folder.id == DESIGN:

@@ -29,7 +29,7 @@ def short(results: Results) -> str:
     report = sentences(results)
     parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]
     done = len(results.all())
-    whole = max(done, planned(results))
+    whole = max(done, results.planned)
     count = f"All {done} runs" if done == whole else f"So far {done} of {whole} runs"
     count += " are complete."
     parts += [six(results).markdown(), count]
@@ -76,18 +76,10 @@ def science(results: Results, beyond: bool = False) -> str:
             if (store.figures / f"{name}.png").is_file()
         ]
     if not beyond:
-        parts.insert(0, origin(results, store.folder.name))
+        preset, folders = store.folder.name, [run.folder for run in results.all()]
+        again = (
+            f"Every number is recomputed from `results/{preset}` by `python -m benchmarks verify`."
+        )
+        origin = provenance(preset, folders, max(0, results.planned - len(folders)))
+        parts.insert(0, f"{origin} {again}" if folders else origin)
     return "\n\n".join(part.strip() for part in parts if part.strip())
-
-
-def planned(results: Results) -> int:
-    """How many runs the preset holds."""
-    return sum(group.planned for group in results.groups.values())
-
-
-def origin(results: Results, preset: str) -> str:
-    """How many runs, how long, at which commit and on which machine."""
-    folders = [run.folder for run in results.all()]
-    text = provenance(preset, folders, max(0, planned(results) - len(folders)))
-    again = f" Every number is recomputed from `results/{preset}` by `python -m benchmarks verify`."
-    return text + again if folders else text

@@ -75,11 +75,11 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
     evaluation, rows = result.config["evaluation"], result.episodes
     stream = evaluation.get("stream", "test")
     seeds = episode_seeds(cell.seed, evaluation["episodes"], stream)
-    for name, wanted in _levels(result, cell).items():
-        column = rows[name] if name in rows else pd.Series([], dtype=float)
-        stored = sorted(column.astype(float).unique().tolist())
-        if stored != sorted(wanted):
-            problems.append(f"episodes.csv has {name} {stored}, not {wanted}")
+    name, wanted = _levels(result, cell)
+    column = rows[name] if name in rows else pd.Series([], dtype=float)
+    stored = sorted(column.astype(float).unique().tolist())
+    if stored != sorted(wanted):
+        problems.append(f"episodes.csv has {name} {stored}, not {wanted}")
     acting = {acting for _, _, acting in result.levels}
     brought = "entry" in result.config
     both = evaluation.get("exploring") and explores(cell.method) and not brought
@@ -113,14 +113,14 @@ def check_seeds(rows: pd.DataFrame, column: str, seeds: list[int], where: str = 
     return [f"episodes.csv has rows{where} of other than the test seeds"] if wrong else []
 
 
-def _levels(result: Result, cell: Cell) -> dict[str, list[float]]:
-    """Column of the episodes -> the levels that it must hold."""
+def _levels(result: Result, cell: Cell) -> tuple[str, list[float]]:
+    """A column of the episodes, and the levels that it must hold."""
     evaluation = result.config["evaluation"]
     if result.error:
-        return {"error": evaluation["errors"]}
+        return "error", evaluation["errors"]
     entry = result.config.get("entry")  # a model has a digest, a planner none
     observed = entry["sha256"] if entry else cell.learns or cell.method.endswith("_observed")
-    return {"noise": evaluation["noise"] if observed else [0.0]}  # the others see the true state
+    return "noise", evaluation["noise"] if observed else [0.0]  # the others see the true state
 
 
 def check_file(path: Path, wanted: str, source: str) -> list[str]:
