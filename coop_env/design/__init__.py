@@ -7,8 +7,17 @@
 True
 """
 
-from coop_env.design.metrics import DesignMetrics as DesignMetrics
-from coop_env.design.metrics import measure as measure
+from coop_env.design.analysis import DesignMetrics as DesignMetrics
+from coop_env.design.analysis import PlatformTrajectory as PlatformTrajectory
+from coop_env.design.analysis import ThresholdSweep as ThresholdSweep
+from coop_env.design.analysis import TrajectoryReport as TrajectoryReport
+from coop_env.design.analysis import cone_trajectory as cone_trajectory
+from coop_env.design.analysis import measure as measure
+from coop_env.design.analysis import over_heaves as over_heaves
+from coop_env.design.analysis import over_thresholds as over_thresholds
+from coop_env.design.analysis import slopes as slopes
+from coop_env.design.analysis import under_tolerances as under_tolerances
+from coop_env.design.analysis import validate as validate
 from coop_env.design.optimize import Atlas as Atlas
 from coop_env.design.optimize import Optimum as Optimum
 from coop_env.design.optimize import at_heaves as at_heaves
@@ -22,12 +31,3 @@ from coop_env.design.problem import WorkspaceMap as WorkspaceMap
 from coop_env.design.problem import sample_points as sample_points
 from coop_env.design.problem import workspace_area as workspace_area
 from coop_env.design.problem import workspace_map as workspace_map
-from coop_env.design.sensitivity import ThresholdSweep as ThresholdSweep
-from coop_env.design.sensitivity import over_heaves as over_heaves
-from coop_env.design.sensitivity import over_thresholds as over_thresholds
-from coop_env.design.sensitivity import slopes as slopes
-from coop_env.design.sensitivity import under_tolerances as under_tolerances
-from coop_env.design.validation import PlatformTrajectory as PlatformTrajectory
-from coop_env.design.validation import TrajectoryReport as TrajectoryReport
-from coop_env.design.validation import cone_trajectory as cone_trajectory
-from coop_env.design.validation import validate as validate

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from coop_env import design
-from coop_env.design import DesignError, DesignProblem, sensitivity
+from coop_env.design import DesignError, DesignProblem, analysis
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED
 from coop_env.kinematics import rrs
 from tests.coop_env.kinematics import reference
@@ -34,7 +34,7 @@ def test_slopes_are_the_change_of_the_area_per_millimetre(name: str) -> None:
     ]
     expected = math.radians(1.0) ** 2 * float(cells[0] - cells[1])
     found = design.slopes(OPTIMIZED)
-    assert set(found) == set(sensitivity.LENGTHS)
+    assert set(found) == set(analysis.LENGTHS)
     assert found[name] == pytest.approx(expected, abs=1e-9)
 
 
@@ -102,9 +102,7 @@ def test_a_trajectory_too_far_is_reported_not_hidden() -> None:
         design.cone_trajectory(tilt=2.0)
 
 
-@pytest.mark.parametrize(
-    "name", ["", ".problem", ".optimize", ".metrics", ".sensitivity", ".validation"]
-)
+@pytest.mark.parametrize("name", ["", ".problem", ".optimize", ".analysis"])
 def test_worked_examples(name: str) -> None:
     result = doctest.testmod(importlib.import_module(f"coop_env.design{name}"))
     assert result.attempted >= 1

@@ -8,7 +8,7 @@ import pytest
 
 from coop_env import design
 from coop_env.design import DesignError, DesignProblem
-from coop_env.design.sensitivity import LENGTHS
+from coop_env.design.analysis import LENGTHS
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs
 from tests.coop_env.kinematics import reference

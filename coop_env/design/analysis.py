@@ -1,0 +1,299 @@
+"""What is said of a design: the paper's table, sensitivity, and a test trajectory.
+
+Sensitivity is how much the workspace hangs on the threshold, on heave, and on the lengths as built.
+Along the trajectory the joints should stay within their limits, and move smoothly.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.integrate import trapezoid
+
+from coop_env.design.optimize import optimize
+from coop_env.design.problem import (
+    PAPER_PROBLEM,
+    DesignError,
+    DesignProblem,
+    Floats,
+    Samples,
+    workspace_area,
+    workspace_map,
+)
+from coop_env.geometry import GeometryError, RRSGeometry
+from coop_env.kinematics import rrs
+from coop_env.kinematics.rotations import roll_pitch, tilt_azimuth
+
+#: Tilt of the fixed cone over which the least sigma_min is compared, rad.
+CONE = math.radians(28.0)
+LENGTHS = ("base_radius", "proximal_length", "platform_radius", "distal_length")
+
+
+@dataclass(frozen=True, slots=True)
+class DesignMetrics:
+    """What the table compares; Omega is the connected component of home at home's heave.
+
+    Attributes:
+        area: A_w, rad^2.
+        sigma_cone: least signed sigma_min over the cone of 28 degrees tilt. Over Omega itself
+            it is the threshold by definition.
+        max_angle: largest \\|roll\\| or \\|pitch\\| in Omega, rad.
+        kappa_variation: standard deviation of the condition number over Omega, relative to its
+            mean.
+        kappa_variation_cone: the same over the cone, which does not grow with Omega.
+        joint_low: least actuated angle over Omega, rad.
+        joint_high: greatest, rad.
+    """
+
+    area: float
+    sigma_cone: float
+    max_angle: float
+    kappa_variation: float
+    kappa_variation_cone: float
+    joint_low: float
+    joint_high: float
+
+
+def measure(
+    geometry: RRSGeometry, problem: DesignProblem = PAPER_PROBLEM, samples: Samples | None = None
+) -> DesignMetrics:
+    """The table's figures of a design; NaN where home itself is not in the workspace.
+
+    Those over the cone are NaN where the grid does not reach its tilt, or has no cell within it.
+
+    >>> from coop_env.geometry import INITIAL
+    >>> round(measure(INITIAL).sigma_cone, 3)
+    0.078
+    """
+    result = workspace_map(geometry, problem, samples)
+    cone = tilt_azimuth(np.stack(result.samples, axis=-1))[..., 0] <= CONE
+    covered = problem.extent >= CONE and bool(cone.any())
+    nan = math.nan  # also where a pose of the cone is out of reach
+    sigma_cone = float(result.sigma[cone].min()) if covered else nan
+    if not result.inside.any():
+        return DesignMetrics(0.0, sigma_cone, nan, nan, nan, nan, nan)
+    roll, pitch = (angle[result.inside] for angle in result.samples)
+    poses = np.stack([roll, pitch, np.full_like(roll, problem.home_heave)], axis=-1)
+    q = rrs.inverse(poses, geometry, problem.pose_model).q
+    return DesignMetrics(
+        result.area,
+        sigma_cone,
+        float(np.abs(poses[:, :2]).max()),
+        _variation(result.kappa[result.inside]),
+        _variation(result.kappa[cone]) if covered else nan,
+        float(q.min()),
+        float(q.max()),
+    )
+
+
+def _variation(values: np.ndarray) -> float:
+    return float(values.std() / values.mean())
+
+
+def over_heaves(
+    geometry: RRSGeometry, heaves: Sequence[float] | Floats, problem: DesignProblem = PAPER_PROBLEM
+) -> Floats:
+    """A_w ``(n,)`` in rad^2 at each heave; the sign of det A is still taken at the design's home.
+
+    >>> from coop_env.geometry import OPTIMIZED
+    >>> over_heaves(OPTIMIZED, [0.20, 0.21]).round(2).tolist()  # the cliff below home
+    [0.57, 1.16]
+    """
+    each = (replace(problem, heaves=(float(heave),)) for heave in heaves)
+    return np.array([workspace_area(geometry, at_heave) for at_heave in each])
+
+
+@dataclass(frozen=True, slots=True)
+class ThresholdSweep:
+    """A_w by threshold ``(n,)``: of given designs ``(n, designs)``, and of the design that
+    Nelder-Mead finds for that threshold, with its lambdas ``(n, 2)``.
+    """
+
+    thresholds: Floats
+    given: Floats
+    optimum: Floats
+    lambdas: Floats
+
+
+def over_thresholds(
+    geometries: Sequence[RRSGeometry],
+    thresholds: Sequence[float] | Floats,
+    problem: DesignProblem = PAPER_PROBLEM,
+) -> ThresholdSweep:
+    """How the areas and the optimum itself move with the threshold on sigma_min.
+
+    Raises:
+        DesignError: the initial design has no workspace at one of the thresholds.
+    """
+    given, optimum, lambdas = [], [], []
+    for threshold in thresholds:
+        here = replace(problem, threshold=float(threshold))
+        given.append([workspace_area(geometry, here) for geometry in geometries])
+        result = optimize(here)
+        optimum.append(result.value)
+        lambdas.append([result.lambda1, result.lambda2])
+    return ThresholdSweep(
+        np.asarray(thresholds, dtype=float), np.array(given), np.array(optimum), np.array(lambdas)
+    )
+
+
+def slopes(
+    geometry: RRSGeometry, problem: DesignProblem = PAPER_PROBLEM, step: float = 5e-4
+) -> dict[str, float]:
+    """Change of A_w, rad^2 per mm, by each length in turn (central difference of 0.5 mm)."""
+    if not step > 0.0:
+        raise DesignError(f"step = {step!r} m: must be above zero")
+
+    def area(name: str, error: float) -> float:
+        longer: dict[str, Any] = {name: getattr(geometry, name) + error}
+        return workspace_area(replace(geometry, **longer), problem)
+
+    return {name: (area(name, step) - area(name, -step)) / (2e3 * step) for name in LENGTHS}
+
+
+def under_tolerances(
+    geometry: RRSGeometry,
+    tolerance: float,
+    draws: int = 100,
+    problem: DesignProblem = PAPER_PROBLEM,
+) -> Floats:
+    """A_w ``(draws,)`` with every length off by an independent uniform error of +-``tolerance`` m.
+
+    The error of a length is the same on all three limbs, because the closed forms used here rest
+    on their symmetry. Draws that break the paper's constraints count as zero.
+    """
+    if not tolerance >= 0.0:
+        raise DesignError(f"tolerance = {tolerance!r} m: must not be negative")
+    rng = np.random.default_rng(0)
+    areas = np.zeros(draws)
+    for i in range(draws):
+        errors = rng.uniform(-tolerance, tolerance, len(LENGTHS))
+        named = zip(LENGTHS, errors.tolist(), strict=True)
+        try:
+            built = replace(geometry, **{n: getattr(geometry, n) + error for n, error in named})
+        except GeometryError:
+            continue
+        areas[i] = workspace_area(built, problem)
+    return areas
+
+
+@dataclass(frozen=True, slots=True)
+class PlatformTrajectory:
+    """Poses ``(n, 3)`` of (roll, pitch, heave) at times ``(n,)`` in s."""
+
+    time: Floats
+    poses: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryReport:
+    """What a design does along a trajectory; angles in rad, rates in rad/s.
+
+    Attributes:
+        valid: every pose reachable, within the joint limits, and on home's side of det A.
+        q: actuated angles ``(n, 3)``.
+        joint_low: least actuated angle.
+        joint_high: greatest.
+        excursion: largest travel of one joint.
+        peak_rate: largest joint rate, from the Jacobian.
+        peak_acceleration: largest joint acceleration, rad/s^2.
+        log_jerk: log dimensionless jerk of the joint path, ``ln(T^3 / v^2 * integral jerk^2)`` with
+            v the peak speed in joint space; less is smoother.
+        sigma_min: least signed sigma_min on the way.
+        kappa_max: greatest condition number on the way.
+        forward_error: largest error of forward kinematics followed along q, rad or m.
+    """
+
+    valid: bool
+    q: Floats
+    joint_low: float
+    joint_high: float
+    excursion: float
+    peak_rate: float
+    peak_acceleration: float
+    log_jerk: float
+    sigma_min: float
+    kappa_max: float
+    forward_error: float
+
+
+def _smoothstep(x: Floats) -> Floats:
+    """0 to 1 with rates zero up to the third at both ends."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**4 * (35.0 - 84.0 * x + 70.0 * x**2 - 20.0 * x**3)
+
+
+def cone_trajectory(
+    tilt: float = math.radians(22.0),
+    heave: tuple[float, float] = (0.21, 0.22),
+    duration: float = 12.0,
+) -> PlatformTrajectory:
+    """From home, tilt, sweep the normal twice about the cone while heave rises and falls, and
+    return home; smooth up to the third rate.
+
+    Raises:
+        DesignError: tilt not in (0, pi/2).
+    """
+    if not 0.0 < tilt < math.pi / 2:
+        raise DesignError(f"tilt = {tilt!r} rad: must lie in (0, pi/2)")
+    time = np.linspace(0.0, duration, 1201)
+    u = time / duration
+    lean = tilt * _smoothstep(u / 0.25) * _smoothstep((1.0 - u) / 0.25)
+    azimuth = 4.0 * math.pi * _smoothstep(u)
+    n = np.stack(
+        [np.sin(lean) * np.cos(azimuth), np.sin(lean) * np.sin(azimuth), np.cos(lean)], axis=-1
+    )
+    low, high = heave
+    height = low + (high - low) * np.sin(math.pi * _smoothstep(u)) ** 2
+    return PlatformTrajectory(time, np.concatenate([roll_pitch(n), height[:, None]], axis=-1))
+
+
+def validate(
+    geometry: RRSGeometry, trajectory: PlatformTrajectory | None = None
+) -> TrajectoryReport:
+    """Run a design along a trajectory: by default the cone from its home heave 10 mm upwards.
+
+    Unreachable poses make ``valid`` False and leave NaN in q and in the figures.
+
+    >>> from coop_env.geometry import OPTIMIZED
+    >>> validate(OPTIMIZED).valid
+    True
+    """
+    if trajectory is None:
+        home = geometry.home_heave
+        trajectory = cone_trajectory(heave=(home, min(home + 0.01, geometry.heave_max)))
+    time, poses = trajectory.time, trajectory.poses
+    q, reachable = rrs.inverse(poses, geometry)
+    sigma = rrs.signed_sigma_min(poses, geometry)
+    rates = rrs.joint_rates(poses, np.gradient(poses, time, axis=0, edge_order=2), geometry)
+    acceleration = np.gradient(rates, time, axis=0, edge_order=2)
+    jerk = np.gradient(acceleration, time, axis=0, edge_order=2)
+    speed = np.linalg.norm(rates, axis=-1).max()
+    cost = trapezoid(np.sum(jerk**2, axis=-1), time) * (time[-1] - time[0]) ** 3 / speed**2
+    margin = rrs.joint_margin(poses, geometry)
+    return TrajectoryReport(
+        valid=bool(reachable.all() and (margin >= 0.0).all() and (sigma > 0.0).all()),
+        q=q,
+        joint_low=float(q.min()),
+        joint_high=float(q.max()),
+        excursion=float(np.ptp(q, axis=0).max()),
+        peak_rate=float(np.abs(rates).max()),
+        peak_acceleration=float(np.abs(acceleration).max()),
+        log_jerk=float(np.log(cost)),
+        sigma_min=float(sigma.min()),
+        kappa_max=float(rrs.condition_number(poses, geometry).max()),
+        forward_error=_follow(geometry, poses, q),
+    )
+
+
+def _follow(geometry: RRSGeometry, poses: Floats, q: Floats) -> float:
+    """Largest error of forward kinematics that knows only the first pose and then the joints."""
+    worst, pose = 0.0, poses[0]
+    for angles, expected in zip(q, poses, strict=True):
+        pose, _, converged = rrs.forward(angles, pose, geometry)
+        if not converged:
+            return math.nan
+        worst = max(worst, float(np.abs(pose - expected).max()))
+    return worst
