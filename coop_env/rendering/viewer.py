@@ -151,12 +151,8 @@ class Viewer:
         return slider
 
     def _add_button(self, action: int) -> Any:
-        button = self._server.gui.add_button(_name(action))
-
-        @button.on_click
-        def _(_: Any) -> None:
-            self.move(action)
-
+        button: Any = self._server.gui.add_button(_name(action))
+        button.on_click(lambda _: self.move(action))
         return button
 
     def place(self, axis: int, value: float) -> bool:
