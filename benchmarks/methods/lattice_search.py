@@ -110,8 +110,7 @@ def real_sigma(lattice: Lattice, c: Configuration) -> float:
     m, p = lattice.machine, lattice.p
     real = machine.real_params(m, p)
     _, theta, _, q = state.joint_angles(c, p)
-    joints = machine.answer(m, theta, q)
-    q = (joints[3], joints[4], joints[5])
+    _, q = machine.answer(m, theta, q)
     closed, tilt, _ = rrs_forward_kernels.forward(q, c[3], c[4], c[5], real.rrs)
     if not closed:
         return np.nan
@@ -130,8 +129,7 @@ def placed(lattice: Lattice, c: Configuration) -> tuple[bool, Row, Row, Pose, Ro
     if not p.task.imperfect:
         return True, (c[0], c[1], c[2]), theta, pose, q
     real = machine.real_params(m, p)
-    joints = machine.answer(m, theta, q)
-    theta, q = (joints[0], joints[1], joints[2]), (joints[3], joints[4], joints[5])
+    theta, q = machine.answer(m, theta, q)
     delta_closed, at = delta_kernels.forward(theta, real.delta)
     rrs_closed, tilt, _ = rrs_forward_kernels.forward(q, c[3], c[4], c[5], real.rrs)
     pose = machine.displaced(m, rrs_kernels.platform_pose(tilt[0], tilt[1], tilt[2], real.rrs))

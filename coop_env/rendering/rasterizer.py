@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coop_env.compilation import njit
-from coop_env.kinematics.singularity import Matrix3, Row
+from coop_env.kinematics.singularity import Matrix3, Row, dot
 from coop_env.rendering.camera import View
 from coop_env.rendering.shapes import FloatArray, IntArray
 
@@ -86,11 +86,6 @@ class Shot(NamedTuple):
 
 
 @njit(cache=True)
-def _dot(a: Row, b: Row) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(cache=True)
 def _mix(a: Row, b: Row, share: float) -> Row:
     """From colour ``a`` a share of the way to ``b``."""
     return (
@@ -105,9 +100,9 @@ def _lit(x: float, y: float, z: float, key: Light) -> float:
     """Share of the key light that reaches a point: 3 x 3 texels, blended."""
     scale = 0.5 * SHADOW_SIZE / SHADOW_REACH
     d = (x - SHADOW_CENTRE[0], y - SHADOW_CENTRE[1], z - SHADOW_CENTRE[2])
-    u = _dot(d, key.axes[0]) * scale + 0.5 * SHADOW_SIZE - 0.5
-    v = _dot(d, key.axes[1]) * scale + 0.5 * SHADOW_SIZE - 0.5
-    near = -_dot(d, key.axes[2]) + SHADOW_BIAS
+    u = dot(d, key.axes[0]) * scale + 0.5 * SHADOW_SIZE - 0.5
+    v = dot(d, key.axes[1]) * scale + 0.5 * SHADOW_SIZE - 0.5
+    near = -dot(d, key.axes[2]) + SHADOW_BIAS
     i, j = math.floor(u), math.floor(v)
     if i < 1 or j < 1 or i >= SHADOW_SIZE - 2 or j >= SHADOW_SIZE - 2:
         return 1.0
@@ -133,7 +128,7 @@ def _grid_line(position: float, blur: float) -> float:
 @njit(cache=True)
 def _floor(ray: Row, pixel: float, shot: Shot) -> Row:
     """Colour where a ray meets no body: floor with grid and shadow, fading into the backdrop."""
-    up = ray[2] / math.sqrt(_dot(ray, ray))
+    up = ray[2] / math.sqrt(dot(ray, ray))
     backdrop = _mix(HORIZON, SKY, min(max(0.5 + 1.3 * up, 0.0), 1.0))
     if ray[2] >= -1e-6:
         return backdrop
@@ -156,14 +151,14 @@ def _surface(
     normal: Row, ray: Row, colour: np.ndarray, gloss: float, lit: float, light: Matrix3
 ) -> Row:
     """Lambert's law under one shadowed key light, a fill light at the eye and a sky, with gloss."""
-    length = math.sqrt(_dot(ray, ray))
+    length = math.sqrt(dot(ray, ray))
     eye = (-ray[0] / length, -ray[1] / length, -ray[2] / length)
     lamp = (-light[2][0], -light[2][1], -light[2][2])
-    key = lit * max(_dot(normal, lamp), 0.0)
+    key = lit * max(dot(normal, lamp), 0.0)
     sky = AMBIENT_DOWN + (AMBIENT_UP - AMBIENT_DOWN) * 0.5 * (1.0 + normal[2])
-    diffuse = KEY * key + sky + FILL * max(_dot(normal, eye), 0.0)
+    diffuse = KEY * key + sky + FILL * max(dot(normal, eye), 0.0)
     half = (lamp[0] + eye[0], lamp[1] + eye[1], lamp[2] + eye[2])
-    shine = max(_dot(normal, half) / math.sqrt(_dot(half, half)), 0.0) ** 8
+    shine = max(dot(normal, half) / math.sqrt(dot(half, half)), 0.0) ** 8
     shine = lit * gloss * shine * shine * shine * shine
     return colour[0] * diffuse + shine, colour[1] * diffuse + shine, colour[2] * diffuse + shine
 

@@ -125,11 +125,10 @@ def _follow(s: Record, c: Configuration, p: EnvParams) -> int:
         return state.INVALID
     m = s.machine
     real = machine.real_params(m, p)
-    joints = machine.answer(m, theta, q)
-    closed, at, tilt = machine.forward(m, joints, real)
+    theta, q = machine.answer(m, theta, q)
+    closed, at, tilt = machine.forward(m, theta, q, real)
     if not closed:
         return state.INVALID
-    theta, q = (joints[0], joints[1], joints[2]), (joints[3], joints[4], joints[5])
     pose = rrs_kernels.platform_pose(tilt[0], tilt[1], tilt[2], real.rrs)
     met = machine.displaced(m, pose)
     if collides(at[0], at[1], at[2], theta, met, q, real):
@@ -137,8 +136,7 @@ def _follow(s: Record, c: Configuration, p: EnvParams) -> int:
     for k in range(3):
         s.energy += abs(theta[k] - s.theta[k]) + abs(q[k] - s.q[k])
         m.actual[k], m.actual[3 + k] = at[k], tilt[k]
-    for k in range(6):
-        m.joints[k] = joints[k]
+        m.joints[k], m.joints[3 + k] = theta[k], q[k]
     state.place_delta(s, c, theta, peg_tip(at[0], at[1], at[2], real.delta))
     state.place_rrs(s, c, met, q, p)
     state.update_inside(s, m.tolerance, p)
@@ -272,17 +270,14 @@ def _reward(
     """Write the reward and its terms; ``before``, ``after``: distance and angle to one hole."""
     v, z, u, terminated, failed = flags
     n_filled, time = s.filled.sum(), s.moves * p.layout.dt
-    if p.reward.paper:
-        terms = rewards.paper_terms(v, z, u, n_filled, time, before[0], after[0], p.reward)
-    else:
-        if not math.isnan(p.reward.gamma):
-            # The potential of the next state: towards its own target, nought once it is terminal.
-            after = (0.0, 0.0) if terminated else (s.distance, s.angle)
-        d, a = (before[0], after[0]), (before[1], after[1])
-        terms = rewards.progress_terms(v, z, u, n_filled, time, d, a, p.reward)
-        if failed:
-            left = p.task.max_moves - s.moves + 1  # this move is counted already
-            terms = rewards.failure_terms(terms, left, p.reward)
+    if not math.isnan(p.reward.gamma):
+        # The potential of the next state: towards its own target, nought once it is terminal.
+        after = (0.0, 0.0) if terminated else (s.distance, s.angle)
+    d, a = (before[0], after[0]), (before[1], after[1])
+    terms = rewards.terms(v, z, u, n_filled, time, d, a, p.reward)
+    if failed and not p.reward.paper:
+        left = p.task.max_moves - s.moves + 1  # this move is counted already
+        terms = rewards.failure_terms(terms, left, p.reward)
     total = 0.0
     for k in range(len(terms)):
         out.terms[k] = terms[k]

@@ -38,7 +38,6 @@ MACHINE: Final = np.dtype(
 """One machine, drawn at reset, and what it has to remember."""
 
 Record = Any
-Joints = tuple[float, float, float, float, float, float]
 
 
 @njit(cache=True)
@@ -62,20 +61,13 @@ def gaussian(m: Record) -> float:
 @njit(cache=True, inline="always")  # numba returns no tuple that holds a record
 def real_params(m: Record, p: EnvParams) -> EnvParams:
     """The parameters with the machine's own lengths, chamfer and base."""
-    rrs, d, a, b = p.rrs, p.delta, m.lengths, m.base
+    a, b = m.lengths, m.base
     return EnvParams(
-        RRSParams(
-            a[0], a[1], a[2], a[3], rrs.joint_min, rrs.joint_max, rrs.max_tilt, rrs.heave_min,
-            rrs.heave_max, rrs.characteristic_length, rrs.exact, rrs.home_sign,
-        ),
-        DeltaParams(
-            a[4], a[5], a[6], a[7], d.base_height, d.peg_length, d.peg_radius, d.planar_limit
-        ),
+        RRSParams(a[0], a[1], a[2], a[3], *p.rrs[4:]),
+        DeltaParams(a[4], a[5], a[6], a[7], *p.delta[4:]),
         TaskParams(
-            m.chamfer, m.tolerance, p.task.angle_tolerance, p.task.max_moves,
-            p.task.mask_singularities, p.task.visited, p.task.imperfect, p.task.refused,
-            p.task.fatal, b[0], b[1], b[2], math.cos(b[3]), math.sin(b[3]), math.cos(b[4]),
-            math.sin(b[4]),
+            m.chamfer, m.tolerance, *p.task[2:-7], b[0], b[1], b[2],
+            math.cos(b[3]), math.sin(b[3]), math.cos(b[4]), math.sin(b[4]),
         ),
         p.reward,
         p.layout,
@@ -92,21 +84,20 @@ def _answer(m: Record, joint: int, command: float) -> float:
 
 
 @njit(cache=True)
-def answer(m: Record, theta: Row, q: Row) -> Joints:
+def answer(m: Record, theta: Row, q: Row) -> tuple[Row, Row]:
     """Where the six joints go when theta and q are commanded, rad."""
     return (
-        _answer(m, 0, theta[0]), _answer(m, 1, theta[1]), _answer(m, 2, theta[2]),
-        _answer(m, 3, q[0]), _answer(m, 4, q[1]), _answer(m, 5, q[2]),
-    )  # fmt: skip
+        (_answer(m, 0, theta[0]), _answer(m, 1, theta[1]), _answer(m, 2, theta[2])),
+        (_answer(m, 3, q[0]), _answer(m, 4, q[1]), _answer(m, 5, q[2])),
+    )
 
 
 @njit(cache=True)
-def forward(m: Record, joints: Joints, real: EnvParams) -> tuple[bool, Row, Row]:
+def forward(m: Record, theta: Row, q: Row, real: EnvParams) -> tuple[bool, Row, Row]:
     """Effector position and (roll, pitch, heave) of the joints; False if the links cannot close."""
-    ok_delta, position = delta_kernels.forward((joints[0], joints[1], joints[2]), real.delta)
-    ok_rrs, tilt, _ = rrs_forward_kernels.forward(
-        (joints[3], joints[4], joints[5]), m.actual[3], m.actual[4], m.actual[5], real.rrs
-    )
+    a = m.actual
+    ok_delta, position = delta_kernels.forward(theta, real.delta)
+    ok_rrs, tilt, _ = rrs_forward_kernels.forward(q, a[3], a[4], a[5], real.rrs)
     return ok_delta and ok_rrs, position, tilt
 
 

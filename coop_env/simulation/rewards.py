@@ -79,45 +79,30 @@ def insertion_bonus(n_filled: int, time: float, p: RewardParams) -> float:
 
 
 @njit(cache=True)
-def paper_terms(
-    v: bool, z: bool, u: bool, n_filled: int, time: float, before: float, after: float,
-    p: RewardParams,
-) -> Terms:  # fmt: skip
-    """Equation (reward): d(t-1) = ``before``, d(t) = ``after``, both to the same hole."""
-    nominal = 0.0 if v or z or u else 1.0
-    return (
-        -3.0 if v else 0.0,
-        insertion_bonus(n_filled, time, p) if z else 0.0,
-        -1.0 if u else 0.0,
-        -0.01 * nominal,
-        -after * nominal,
-        50.0 * max(before - after, 0.0) * nominal,
-        200.0 * max(0.03 - after, 0.0) * nominal,
-        0.0,
-    )
-
-
-@njit(cache=True)
-def progress_terms(
+def terms(
     v: bool, z: bool, u: bool, n_filled: int, time: float,
     distance: tuple[float, float], angle: tuple[float, float], p: RewardParams,
 ) -> Terms:  # fmt: skip
-    """The repaired reward; ``distance`` and ``angle`` are (before, after).
+    """Of a move: equation (reward), or its repair; ``distance``, ``angle``: (before, after).
 
-    With ``p.gamma`` it is the shaping ``gamma Phi(s') - Phi(s)`` of the potential
-    ``Phi = -(distance_scale d + angle_scale angle)``.
+    Both are to one hole. With ``p.gamma`` the repair is the shaping ``gamma Phi(s') - Phi(s)`` of
+    the potential ``Phi = -(distance_scale d + angle_scale angle)``.
     """
+    violation = -p.violation_penalty if v else 0.0
+    insertion = insertion_bonus(n_filled, time, p) if z else 0.0
+    duplicate = -p.duplicate_penalty if u else 0.0
+    before, after = distance
+    if p.paper:
+        nominal = 0.0 if v or z or u else 1.0
+        step, away = -0.01 * nominal, -after * nominal
+        closer = 50.0 * max(before - after, 0.0) * nominal
+        near = 200.0 * max(0.03 - after, 0.0) * nominal
+        return violation, insertion, duplicate, step, away, closer, near, 0.0
+    step = 0.0 if v else -p.step_cost
     gamma = 1.0 if math.isnan(p.gamma) else p.gamma
-    return (
-        -p.violation_penalty if v else 0.0,
-        insertion_bonus(n_filled, time, p) if z else 0.0,
-        -p.duplicate_penalty if u else 0.0,
-        0.0 if v else -p.step_cost,
-        0.0,
-        p.distance_scale * (distance[0] - gamma * distance[1]),
-        0.0,
-        p.angle_scale * (angle[0] - gamma * angle[1]),
-    )
+    closer = p.distance_scale * (before - gamma * after)
+    turned = p.angle_scale * (angle[0] - gamma * angle[1])
+    return violation, insertion, duplicate, step, 0.0, closer, 0.0, turned
 
 
 @njit(cache=True)

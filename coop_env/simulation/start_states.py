@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coop_env.compilation import njit
 from coop_env.errors import ResetOptionError, check_integer, is_list
-from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import dynamics, state
 from coop_env.simulation.sim_to_real import SimToReal, draw_machine
 from coop_env.simulation.state import VALID, Record, state_dtype
@@ -43,13 +42,9 @@ def _draw_configuration(
         x, y = (2.0 * u[3] - 1.0) * planar, (2.0 * u[4] - 1.0) * planar
         tip_z = heave + lay.dome_radius + low + u[5] * (high - low)
         z = tip_z + p.delta.peg_length - p.delta.base_height
-        if not rrs_kernels.is_valid(roll, pitch, heave, p.rrs):
-            continue
-        if not rrs_kernels.sigma_at(roll, pitch, heave, p.rrs) >= lay.start_sigma:
-            continue
         if dynamics.begin(s, (x, y, z, roll, pitch, heave), active, filled, p) != VALID:
             continue
-        if s.inside.sum() == 0:
+        if s.sigma >= lay.start_sigma and s.inside.sum() == 0:
             return True
     return False
 
