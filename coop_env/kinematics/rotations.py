@@ -74,18 +74,6 @@ def roll_pitch_yaw_matrix(angles: ArrayLike) -> Floats:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def yaw_of(rotation: ArrayLike) -> Floats:
-    """psi ``(...)`` in ``R = Rx Ry Rz(psi)``.
-
-    >>> float(yaw_of(roll_pitch_yaw_matrix([0.1, 0.2, 0.3])).round(9))
-    0.3
-    """
-    r = as_points("rotation", rotation, "column 0", "column 1", "column 2")
-    if r.ndim < 2 or r.shape[-2] != 3:
-        raise ShapeError(f"rotation has shape {r.shape}: must be (..., 3, 3)")
-    return np.arctan2(-r[..., 0, 1], r[..., 0, 0]) + 0.0  # no negative zero
-
-
 def angle_between(a: ArrayLike, b: ArrayLike) -> Floats:
     """Angle ``(...)`` between vectors ``(..., 3)``, exact also near 0 and pi.
 

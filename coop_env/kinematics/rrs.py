@@ -24,7 +24,6 @@ from coop_env.kinematics import rrs_forward_kernels as fk
 from coop_env.kinematics import rrs_kernels as kernels
 from coop_env.kinematics._batch import Bools, Floats, as_points, over_rows, require_broadcast
 from coop_env.kinematics._batch import ShapeError as ShapeError
-from coop_env.kinematics.rotations import yaw_of
 
 
 class PlatformPose(NamedTuple):
@@ -106,8 +105,9 @@ def parasitic(
     >>> parasitic([0.3, 0.3, 0.22], pose_model="paper").tolist()
     [0.0, 0.0, 0.0]
     """
-    at = platform_pose(pose, geometry, pose_model)
-    return np.concatenate([at.position[..., :2], yaw_of(at.rotation)[..., None]], axis=-1)
+    at, r = platform_pose(pose, geometry, pose_model)
+    yaw = np.arctan2(-r[..., 0, 1], r[..., 0, 0]) + 0.0  # no negative zero
+    return np.concatenate([at[..., :2], yaw[..., None]], axis=-1)
 
 
 def plane_offset(

@@ -19,7 +19,6 @@ ANGLES = np.random.default_rng(0).uniform(-1.2, 1.2, size=(4, 50, 3))
 def test_euler_matrix_is_scipys() -> None:
     expected = Rotation.from_euler("XYZ", ANGLES.reshape(-1, 3)).as_matrix().reshape(4, 50, 3, 3)
     np.testing.assert_allclose(rotations.roll_pitch_yaw_matrix(ANGLES), expected, atol=1e-14)
-    np.testing.assert_allclose(rotations.yaw_of(expected), ANGLES[..., 2], atol=1e-13)
     np.testing.assert_allclose(rotations.normal(ANGLES[..., :2]), expected[..., :, 2], atol=1e-14)
 
 
@@ -48,8 +47,6 @@ def test_angles_between_nearly_parallel_vectors_keep_their_digits() -> None:
 def test_bad_shapes_are_named() -> None:
     with pytest.raises(rotations.ShapeError, match="angles has shape"):
         rotations.normal([0.1, 0.2, 0.3])
-    with pytest.raises(rotations.ShapeError, match="rotation has shape"):
-        rotations.yaw_of(np.zeros((2, 3)))
 
 
 @pytest.mark.parametrize("module", [rrs, delta, rotations], ids=lambda m: m.__name__)
@@ -57,7 +54,7 @@ def test_worked_examples(module: ModuleType) -> None:
     result = doctest.testmod(module)
     assert result.failed == 0
     own = [f for n, f in vars(module).items() if isinstance(f, FunctionType) and n[0] != "_"]
-    assert result.attempted >= sum(f.__module__ == module.__name__ for f in own) >= 7
+    assert result.attempted >= sum(f.__module__ == module.__name__ for f in own) >= 6
 
 
 ENTRY = st.floats(-1e3, 1e3).map(lambda value: round(value, 9))  # squares must not underflow
