@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
+from matplotlib.colors import to_rgb
 
 from coop_env.physics.joints import RADIAL, TANGENTIAL, UP
 from coop_env.rendering import shapes
@@ -22,31 +23,25 @@ from coop_env.rendering.shapes import FloatArray, Mesh
 Colour = tuple[float, float, float]
 _UPRIGHT: Final = np.eye(3)
 
-
-def _rgb(code: str) -> Colour:
-    red, green, blue = (int(code[i : i + 2], 16) / 255.0 for i in (0, 2, 4))
-    return red, green, blue
-
-
 COLOURS: Final = MappingProxyType(
     {
-        "delta": _rgb("2f6fb0"),
-        "delta_base": _rgb("c9d1da"),
-        "forearm": _rgb("4a5563"),
-        "housing": _rgb("39424e"),
-        "steel": _rgb("a9b2bd"),
-        "peg": _rgb("c0392b"),
-        "rrs": _rgb("d98a29"),
-        "rrs_base": _rgb("9aa5b1"),
-        "distal": _rgb("4a5563"),
-        "platform": _rgb("5f6b7a"),
-        "dome": _rgb("e2dccf"),
-        "bore": _rgb("20252c"),
-        "open": _rgb("3f86d6"),
-        "target": _rgb("f39200"),
-        "filled": _rgb("2aa35a"),
-        "inactive": _rgb("b4b4b0"),
-        "trace": _rgb("d1457b"),
+        "delta": to_rgb("#2f6fb0"),
+        "delta_base": to_rgb("#c9d1da"),
+        "forearm": to_rgb("#4a5563"),
+        "housing": to_rgb("#39424e"),
+        "steel": to_rgb("#a9b2bd"),
+        "peg": to_rgb("#c0392b"),
+        "rrs": to_rgb("#d98a29"),
+        "rrs_base": to_rgb("#9aa5b1"),
+        "distal": to_rgb("#4a5563"),
+        "platform": to_rgb("#5f6b7a"),
+        "dome": to_rgb("#e2dccf"),
+        "bore": to_rgb("#20252c"),
+        "open": to_rgb("#3f86d6"),
+        "target": to_rgb("#f39200"),
+        "filled": to_rgb("#2aa35a"),
+        "inactive": to_rgb("#b4b4b0"),
+        "trace": to_rgb("#d1457b"),
     }
 )
 """Display colours (sRGB, 0 to 1) by what they mark."""

@@ -204,9 +204,6 @@ MASSES: Final = (
     "rrs_proximal", "rrs_distal", "platform", "delta_proximal", "delta_rod", "effector", "peg",
 )  # fmt: skip
 """Bodies of the twin whose masses have errors, by the beginning of their names."""
-UNDISTURBED: Final = Disturbance(
-    np.ones(8), np.ones(6), np.ones(len(MASSES)), 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-)
 
 
 def draw_disturbance(knobs: SimToReal, rng: np.random.Generator) -> Disturbance:
@@ -226,3 +223,6 @@ def draw_disturbance(knobs: SimToReal, rng: np.random.Generator) -> Disturbance:
         float(knobs.latency == 1 and (not knobs.randomize or scale[7] < 0.5)),
         float(scale[8] * knobs.force_noise),
     )
+
+
+UNDISTURBED: Final = draw_disturbance(NOMINAL, np.random.default_rng(0))
