@@ -9,12 +9,10 @@ True
 
 from coop_env.design.analysis import DesignMetrics as DesignMetrics
 from coop_env.design.analysis import PlatformTrajectory as PlatformTrajectory
-from coop_env.design.analysis import ThresholdSweep as ThresholdSweep
 from coop_env.design.analysis import TrajectoryReport as TrajectoryReport
 from coop_env.design.analysis import cone_trajectory as cone_trajectory
 from coop_env.design.analysis import measure as measure
 from coop_env.design.analysis import over_heaves as over_heaves
-from coop_env.design.analysis import over_thresholds as over_thresholds
 from coop_env.design.analysis import slopes as slopes
 from coop_env.design.analysis import under_tolerances as under_tolerances
 from coop_env.design.analysis import validate as validate

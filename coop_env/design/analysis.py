@@ -1,6 +1,6 @@
 """What is said of a design: the paper's table, sensitivity, and a test trajectory.
 
-Sensitivity is how much the workspace hangs on the threshold, on heave, and on the lengths as built.
+Sensitivity is how much the workspace hangs on heave and on the lengths as built.
 Along the trajectory the joints should stay within their limits, and move smoothly.
 """
 
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from scipy.integrate import trapezoid
 
-from coop_env.design.optimize import optimize
 from coop_env.design.problem import (
     PAPER_PROBLEM,
     DesignError,
@@ -103,40 +102,6 @@ def over_heaves(
     """
     each = (replace(problem, heaves=(float(heave),)) for heave in heaves)
     return np.array([workspace_area(geometry, at_heave) for at_heave in each])
-
-
-@dataclass(frozen=True, slots=True)
-class ThresholdSweep:
-    """A_w by threshold ``(n,)``: of given designs ``(n, designs)``, and of the design that
-    Nelder-Mead finds for that threshold, with its lambdas ``(n, 2)``.
-    """
-
-    thresholds: Floats
-    given: Floats
-    optimum: Floats
-    lambdas: Floats
-
-
-def over_thresholds(
-    geometries: Sequence[RRSGeometry],
-    thresholds: Sequence[float] | Floats,
-    problem: DesignProblem = PAPER_PROBLEM,
-) -> ThresholdSweep:
-    """How the areas and the optimum itself move with the threshold on sigma_min.
-
-    Raises:
-        DesignError: the initial design has no workspace at one of the thresholds.
-    """
-    given, optimum, lambdas = [], [], []
-    for threshold in thresholds:
-        here = replace(problem, threshold=float(threshold))
-        given.append([workspace_area(geometry, here) for geometry in geometries])
-        result = optimize(here)
-        optimum.append(result.value)
-        lambdas.append([result.lambda1, result.lambda2])
-    return ThresholdSweep(
-        np.asarray(thresholds, dtype=float), np.array(given), np.array(optimum), np.array(lambdas)
-    )
 
 
 def slopes(

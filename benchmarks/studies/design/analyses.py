@@ -95,11 +95,15 @@ def heave_rows(designs: Designs) -> list[Row]:
 
 def threshold_rows() -> list[Row]:
     """A_w by threshold on sigma_min, and the optimum for each."""
-    thresholds = [0.05, 0.10, 0.15, 0.20, 0.25, 0.30, 0.40]
-    sweep = design.over_thresholds([INITIAL, OPTIMIZED], thresholds)
-    keys = ("threshold", "initial", "optimized", "reoptimized", "lambda1", "lambda2")
-    result = np.column_stack((thresholds, sweep.given, sweep.optimum, sweep.lambdas))
-    return [dict(zip(keys, row, strict=True)) for row in result.tolist()]
+    rows: list[Row] = []
+    for threshold in (0.05, 0.10, 0.15, 0.20, 0.25, 0.30, 0.40):
+        problem = DesignProblem(threshold=threshold)
+        row: Row = {"threshold": threshold}
+        row |= {name: design.workspace_area(g, problem) for name, g in GEOMETRIES.items()}
+        best = design.optimize(problem)
+        row |= {"reoptimized": best.value, "lambda1": best.lambda1, "lambda2": best.lambda2}
+        rows.append(row)
+    return rows
 
 
 def tolerance_rows(designs: Designs) -> tuple[list[Row], list[Row]]:
