@@ -49,8 +49,6 @@ def test_tolerances_widen_the_spread_and_repeat_by_seed() -> None:
     np.testing.assert_array_equal(small, design.under_tolerances(OPTIMIZED, 2e-4, 30, COARSE))
     with pytest.raises(DesignError, match="tolerance"):
         design.under_tolerances(OPTIMIZED, -1.0)
-    with pytest.raises(DesignError, match="step"):
-        design.slopes(OPTIMIZED, step=0.0)
 
 
 def test_a_grid_that_does_not_hold_the_cone_has_no_figures_of_it() -> None:
