@@ -6,7 +6,7 @@ A batch of one is what a single environment plays, so it and the vector form agr
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -64,16 +64,6 @@ PRIVILEGED_UNITS: Final[Floats] = np.repeat(
 )
 
 
-class StepResult(NamedTuple):
-    """What a control step came to, a row for each episode."""
-
-    observation: Any
-    reward: Floats
-    terminated: Bools
-    truncated: Bools
-    info: dict[str, Any]  # columns (n, ...)
-
-
 class PhysicsBatch(ABC):
     """``n`` episodes of a task on the twin; the tasks are subclasses.
 
@@ -86,6 +76,8 @@ class PhysicsBatch(ABC):
     """Of the observation, m."""
     increments: Floats
     """What one is of each increment (6,); m and rad."""
+    outcome: tuple[Any, Floats, Bools, Bools, dict[str, Any]]
+    """Observation, reward, terminated, truncated and info of the last step, a row each."""
 
     def __init__(
         self, level: Any = "standard", geometry: Any = "optimized", delta: Any = None,
@@ -140,8 +132,8 @@ class PhysicsBatch(ABC):
         """Start an episode in one row, which draws from ``rng``; returns its info."""
 
     @abstractmethod
-    def step(self, actions: Floats) -> StepResult:
-        """Move all episodes by increments (n, 6) in [-1, 1]."""
+    def step(self, actions: Floats) -> None:
+        """Move all episodes by increments (n, 6) in [-1, 1]; ``outcome`` is what it came to."""
 
     @abstractmethod
     def observe(self, rows: slice) -> NDArray[np.float32]:
@@ -339,13 +331,13 @@ class PhysicsBatch(ABC):
         }
         return {name: self.reward_scale * term for name, term in terms.items()}
 
-    def _outcome(self, terms: dict[str, Floats], over: Bools) -> StepResult:
-        """The step's outcome; truncates what is not over by then."""
+    def _conclude(self, terms: dict[str, Floats], over: Bools) -> None:
+        """Write the step's outcome; truncates what is not over by then."""
         truncated = ~over & (self.steps >= self.max_steps)
         self.failure[truncated] = TIME
         reward = sum(terms.values(), np.zeros(self.n))
         info = {**self.columns(), "reward_terms": terms}
-        return StepResult(self.seen(slice(None)), reward, over, truncated, info)
+        self.outcome = self.seen(slice(None)), reward, over, truncated, info
 
     def columns(self) -> dict[str, Any]:
         """``info`` of all episodes, but the reward's terms, in columns (n, ...)."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.errors import ResetOptionError
-from coop_env.physics.batch import LIMIT, OBSERVED, PhysicsBatch, StepResult, row_of
+from coop_env.physics.batch import LIMIT, OBSERVED, PhysicsBatch, row_of
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import OWN_OPTIONS, draw_error, split_options, start_configurations
 from coop_env.simulation.collision import peg_tip
@@ -67,7 +67,7 @@ class ContactBatch(PhysicsBatch):
                  "privileged")  # fmt: skip
         return {name: info[name] for name in names}
 
-    def step(self, actions: Floats) -> StepResult:
+    def step(self, actions: Floats) -> None:
         task = self.task
         self._action = np.array(actions, np.float64)
         self._advance(self.command + actions * self.increments)
@@ -77,7 +77,7 @@ class ContactBatch(PhysicsBatch):
         paid = np.minimum(depth, task.insertion_depth)
         terms = self._terms("depth", task.depth_scale * (paid - self._paid), self.success)
         self._paid = paid
-        return self._outcome(terms, self.success | (self.failure > 0))
+        self._conclude(terms, self.success | (self.failure > 0))
 
     def columns(self) -> dict[str, Any]:
         return {**super().columns(), "hole": self.hole.copy()}

@@ -26,8 +26,65 @@ Observation = Any  # an array, or with the privileged state a dictionary of two
 _SLACK: Final = 1e-6  # a float32 policy may miss the bound by its rounding
 
 
-class PhysicsEnv(Rendered):
-    """An environment that plays a batch of one; the tasks are subclasses."""
+class PhysicsRow(Rendered):
+    """An environment that plays a row of a batch, which its owner moves."""
+
+    def __init__(self, batch: Any, row: int, discrete: bool, render_mode: str | None) -> None:
+        self.batch, self.task, self._row = batch, batch.task, row
+        self._set_render_mode(render_mode, self.task.dt)
+        own = spaces.Box(-LIMIT, LIMIT, (batch.n_observed,), np.float32)
+        self.observation_space: Any = with_privileged(own) if batch.is_dict else own
+        increments = spaces.Box(-1.0, 1.0, (N_AXES,), np.float32)
+        self.action_space: Any = spaces.Discrete(N_ACTIONS) if discrete else increments
+        self._running = False
+
+    @property
+    def configuration(self) -> Floats:
+        """The commanded (x, y, z, roll, pitch, heave), (6,); m and rad."""
+        return self.batch.command[self._row].copy()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode; the class says which ``options`` there are.
+
+        Raises:
+            ResetOptionError: an option is malformed; nothing has changed.
+            ClosedEnvironmentError: :meth:`close` was called.
+        """
+        checked, row = self.batch.check_options(options), self._row
+        self.batch.twin.require_open()
+        super().reset(seed=seed)
+        self._running = False  # until the machine stands
+        info = self.batch.reset(row, checked, self.np_random)
+        self._running = True
+        if self.render_mode is not None:
+            self._follow(self.batch.twin.readings().tip[row], first=True)
+        return row_of(self.batch.seen(slice(row, row + 1)), 0), info
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What the batch's last control step came to."""
+        seen, reward, terminated, truncated, info = (
+            row_of(part, self._row) for part in self.batch.outcome
+        )
+        self._running = not (terminated or truncated)
+        if self.render_mode is not None:
+            self._follow(self.batch.twin.readings().tip[self._row])
+        return seen, reward, terminated, truncated, info
+
+    def scene(self) -> Scene:
+        """Every body of the scene at this instant, where it really is; world frame."""
+        return self.batch.scene(self._row, self._trace)
+
+    def close(self) -> None:
+        """End the simulation."""
+        super().close()
+        self.batch.twin.close()
+        self._running = False
+
+
+class PhysicsEnv(PhysicsRow):
+    """An environment with a batch of its own, of one row; the tasks are subclasses."""
 
     batch_class: type[PhysicsBatch] = ContactBatch
     discrete = False
@@ -48,14 +105,11 @@ class PhysicsEnv(Rendered):
     ) -> None:
         if more := {"n", "threads"} & set(arguments):
             raise ArgumentError(f"{min(more)}: of a batch, see make_vec; this is one machine")
-        self.batch: Any = self.batch_class(
+        batch: Any = self.batch_class(
             level, geometry, delta, holes, servos, sim_to_real=sim_to_real,
             reward_scale=reward_scale, privileged=privileged, **arguments,
         )  # fmt: skip
-        self.task = self.batch.task
-        self._set_render_mode(render_mode, self.task.dt)
-        self.observation_space, self.action_space = make_spaces(self.batch, self.discrete)
-        self._running = False
+        super().__init__(batch, 0, self.discrete, render_mode)
 
     @property
     def params(self) -> EnvParams:
@@ -67,30 +121,6 @@ class PhysicsEnv(Rendered):
         """What one is of each increment (6,); m and rad."""
         return self.batch.increments
 
-    @property
-    def configuration(self) -> Floats:
-        """The commanded (x, y, z, roll, pitch, heave), (6,); m and rad."""
-        return self.batch.command[0].copy()
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode; the class says which ``options`` there are.
-
-        Raises:
-            ResetOptionError: an option is malformed; nothing has changed.
-            ClosedEnvironmentError: :meth:`close` was called.
-        """
-        checked = self.batch.check_options(options)
-        self.batch.twin.require_open()
-        super().reset(seed=seed)
-        self._running = False  # until the machine stands
-        info = self.batch.reset(0, checked, self.np_random)
-        self._running = True
-        if self.render_mode is not None:
-            self._follow(self.batch.twin.readings().tip[0], first=True)
-        return row_of(self.batch.seen(slice(0, 1)), 0), info
-
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Make one control step.
 
@@ -100,22 +130,8 @@ class PhysicsEnv(Rendered):
         """
         if not self._running:
             raise ResetNeeded("call reset() first: there is no running episode")
-        outcome = self.batch.step(self.increments_of(action)[None])
-        seen, reward, terminated, truncated, info = (row_of(part, 0) for part in outcome)
-        self._running = not (terminated or truncated)
-        if self.render_mode is not None:
-            self._follow(self.batch.twin.readings().tip[0])
-        return seen, reward, terminated, truncated, info
-
-    def scene(self) -> Scene:
-        """Every body of the scene at this instant, where it really is; world frame."""
-        return self.batch.scene(0, self._trace)
-
-    def close(self) -> None:
-        """End the simulation."""
-        super().close()
-        self.batch.twin.close()
-        self._running = False
+        self.batch.step(self.increments_of(action)[None])
+        return super().step(action)
 
     def increments_of(self, action: Any) -> Floats:
         """An action as increments (6,), each of -1 to 1.
@@ -268,15 +284,6 @@ def with_privileged(own: spaces.Space[Any]) -> spaces.Dict:
     """The space of observations that have the privileged state as well."""
     more = spaces.Box(-LIMIT, LIMIT, PRIVILEGED_UNITS.shape, np.float32)
     return spaces.Dict({"observation": own, "privileged": more})
-
-
-def make_spaces(batch: PhysicsBatch, discrete: bool) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
-    """Observation and action space of one environment, its own: a space has a generator."""
-    own = spaces.Box(-LIMIT, LIMIT, (batch.n_observed,), np.float32)
-    observations = with_privileged(own) if batch.is_dict else own
-    if discrete:
-        return observations, spaces.Discrete(N_ACTIONS)
-    return observations, spaces.Box(-1.0, 1.0, (N_AXES,), np.float32)
 
 
 def move(action: int) -> Floats:

@@ -14,7 +14,6 @@ from coop_env.physics.batch import (
     OBSERVED,
     Bools,
     PhysicsBatch,
-    StepResult,
     row_of,
 )
 from coop_env.physics.joints import Floats
@@ -60,7 +59,7 @@ class WholeBatch(PhysicsBatch):
         self._starts.np_random = rng  # one stream: a seed's start is the kinematic one's
         self._starts.reset(options=rest)
         self.begin(row, self._starts.state, own, rng)
-        return {**row_of(self.columns(), row), "reward_terms": {}}
+        return row_of(self.columns(), row)
 
     def begin(self, row: int, state: np.void, own: Options, rng: np.random.Generator) -> None:
         """Set a machine down at a state of the kinematic task; ``rng`` draws what ``own`` lacks."""
@@ -73,7 +72,7 @@ class WholeBatch(PhysicsBatch):
         self.given_up[row], self.inserted[row] = [], -1
         self.distance[row] = self._to_mouth()[row]
 
-    def step(self, actions: Floats) -> StepResult:
+    def step(self, actions: Floats) -> None:
         self._action = np.array(actions, np.float64)
         aimed = self.hole.copy()
         before = self._left_to(aimed)
@@ -81,7 +80,7 @@ class WholeBatch(PhysicsBatch):
         distance, angle = (before - self._left_to(aimed)).T
         gained = self.task.depth_scale * distance + _ANGLE_SCALE * angle
         terms = self._terms("progress", gained, self.inserted >= 0)
-        return self._outcome(terms, self.over)
+        self._conclude(terms, self.over)
 
     def advance(self, wanted: Floats) -> None:
         """One control step, in which joints are led evenly to configurations (n, 6).
