@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from gymnasium.error import NoAsyncCallError, ResetNeeded
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv, check_snapshot
@@ -35,7 +35,7 @@ Step = tuple[NDArray[np.float32], Floats, Bools, Bools, dict[str, Any]]
 _SHARED = ("packed", "transform", "states", "outcomes", "rows")
 
 
-class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
+class CoopInsertionVectorEnv(SyncVectorEnv):
     """``num_envs`` environments in one batch, each bit-identical to a single one of its seed.
 
     Autoreset is ``SAME_STEP``: the step that ends an episode returns the next one's first
@@ -57,11 +57,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             in a way of its own, of which a batch would know nothing.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
-        **CoopInsertionEnv.metadata,
-        "autoreset_mode": AutoresetMode.SAME_STEP,
-    }
-
+    envs: list[Any]
     env_class: type[CoopInsertionEnv] = CoopInsertionEnv
 
     def __init__(
@@ -81,18 +77,12 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
                     f"{self.env_class.__name__} has a {name}() of its own, which a batch would "
                     "pass by: take Gymnasium's SyncVectorEnv or SB3's DummyVecEnv of single ones"
                 )
-        self.num_envs = check_integer("num_envs", num_envs, 1)
-        self.envs = [self.env_class(**kwargs) for _ in range(self.num_envs)]
-        self.actions = np.zeros(self.num_envs, np.int64)
+        n = check_integer("num_envs", num_envs, 1)
+        make = partial(self.env_class, **kwargs)
+        super().__init__([make] * n, autoreset_mode=AutoresetMode.SAME_STEP)
+        self.actions = np.zeros(n, np.int64)
         self.pending = False
         self._share_rows()
-        first = self.envs[0]
-        self.render_mode = first.render_mode
-        self.metadata = {**type(self).metadata, "render_fps": first.metadata["render_fps"]}
-        self.single_observation_space = first.observation_space
-        self.single_action_space = first.action_space
-        self.observation_space = batch_space(first.observation_space, self.num_envs)
-        self.action_space = batch_space(first.action_space, self.num_envs)
 
     def _share_rows(self) -> None:
         """Move what the environments hold into rows of one array each, and let them work there."""
@@ -169,11 +159,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             ResetOptionError: an option is malformed, or names a state that cannot be taken.
             ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
-        given = self.check_options(options)
-        seeds = seeds_of(seed, self.num_envs)
-        if seed is not None and not isinstance(seed, Sequence):
-            super().reset(seed=seeds[0])
-        self.start(seeds, given)
+        self.start(seeds_of(seed, self.num_envs), self.check_options(options))
         return self.rows.copy(), batch.make_columns(self.outcomes)
 
     def take(self, actions: Any) -> None:
@@ -235,15 +221,6 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         self._require_start()
         return self.envs[0]._masks_of(self.states)
 
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of each environment; an attribute is returned as it is."""
-        result = [getattr(env, name) for env in self.envs]
-        return tuple(each(*args, **kwargs) if callable(each) else each for each in result)
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """An attribute of each environment."""
-        return self.call(name)
-
     def set_attr(self, name: str, values: Any) -> None:
         """Set an attribute (``stage``, say): one value for all, or a list with one for each."""
         if not isinstance(values, (list, tuple)):
@@ -251,10 +228,6 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         if len(values) != self.num_envs:
             raise ArgumentError(f"{len(values)} values for {self.num_envs} environments")
         set_attributes(self.envs, name, values)
-
-    def render(self) -> tuple[Any, ...] | None:
-        """A frame of each environment, as ``render_mode`` says."""
-        return tuple(env.render() for env in self.envs)
 
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot of all environments and of the move taken, if one is."""
