@@ -33,9 +33,6 @@ LIMIT: Final = 5.0
 """Observations are clipped to this much of their unit."""
 OBSERVED: Final = (3, 2, 6, 3, 3, 3, 2, 1, 6)
 """Fields that both tasks observe: tip, normal, joints, force, moment, command (3), last action."""
-FAILURES: Final = np.array(["", "force", "snap", "diverged", "time", "not inserted"], object)
-FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
-"""Causes by their number; ``"time"`` truncates."""
 TRIES: Final = 20
 """Machines drawn until one can take the start."""
 MAX_FRICTION: Final = 2.0
@@ -103,7 +100,8 @@ class PhysicsBatch(ABC):
         self._noise = np.tile([task.force_noise] * 3 + [task.moment_noise] * 3, (n, 1))
         self._mouth_radius = machine.bore.radius + machine.bore.chamfer
         self.rngs: list[Any] = [None] * n  # generators, once an episode was started
-        self.steps, self.hole, self.failure = (np.zeros(n, np.int64) for _ in range(3))
+        self.steps, self.hole = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self.failure = np.full(n, "", object)  # the cause; "time" truncates
         self.success, self.taken = np.zeros(n, bool), np.ones(n, bool)
         self.command, self._targets, self._action, self._wrench, self._tare = (
             np.zeros((n, N_AXES)) for _ in range(5)
@@ -158,7 +156,7 @@ class PhysicsBatch(ABC):
     def status(self, row: int) -> str:
         """``"running"``, ``"success"``, or the cause of an episode's failure."""
         won = self.success[row] and not np.any(self.active[row] & ~self.filled[row])
-        return "success" if won else FAILURES[self.failure[row]] or "running"
+        return "success" if won else self.failure[row] or "running"
 
     def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
         """Every body of a scene, where it really is; links as the measured joints close them."""
@@ -212,7 +210,7 @@ class PhysicsBatch(ABC):
         now = self.twin.readings()
         self._askew[row] = self.twin.platform_error(now, self.command)[row]
         self._action[row], self._wrench[row] = 0.0, 0.0
-        self.steps[row], self.failure[row], self.peak[row], self.peak_force[row] = 0, 0, 0.0, 0.0
+        self.steps[row], self.failure[row], self.peak[row], self.peak_force[row] = 0, "", 0.0, 0.0
         self.success[row], self.taken[row] = False, True
         rows = slice(row, row + 1)
         self.insertion[rows] = self._measure(now, rows, self.hole)
@@ -275,10 +273,9 @@ class PhysicsBatch(ABC):
         now = last(readings)
         self.insertion = self._measure(now, slice(None), self.hole)
         off = self.twin.platform_error(now, self.command) - self._askew
-        snapped = off > task.snap_angle
-        self.failure = np.where(snapped, SNAP, 0)
-        self.failure[self.peak > task.force_limit] = FORCE
-        self.failure[self.twin.diverged] = DIVERGED
+        self.failure[:] = np.where(off > task.snap_angle, "snap", "")
+        self.failure[self.peak > task.force_limit] = "force"
+        self.failure[self.twin.diverged] = "diverged"
 
     def _lead(self, before: Floats) -> Floats:
         """Joint commands of a control step: (n, 1, 6), held, or (n, substeps, 6)."""
@@ -320,7 +317,7 @@ class PhysicsBatch(ABC):
 
     def _terms(self, name: str, gained: Floats, inserted: Bools) -> dict[str, Floats]:
         """Reward terms (n,) of a step; a failure gains nothing and never saves any steps."""
-        task, failed = self.task, self.failure > 0
+        task, failed = self.task, self.failure != ""
         steps = np.where(failed, self.max_steps - self.steps + 1, 1)
         terms = {
             name: np.where(failed, 0.0, gained),
@@ -334,7 +331,7 @@ class PhysicsBatch(ABC):
     def _conclude(self, terms: dict[str, Floats], over: Bools) -> None:
         """Write the step's outcome; truncates what is not over by then."""
         truncated = ~over & (self.steps >= self.max_steps)
-        self.failure[truncated] = TIME
+        self.failure[truncated] = "time"
         reward = sum(terms.values(), np.zeros(self.n))
         info = {**self.columns(), "reward_terms": terms}
         self.outcome = self.seen(slice(None)), reward, over, truncated, info
@@ -346,7 +343,7 @@ class PhysicsBatch(ABC):
             "success": self.success.copy(),
             "is_success": self.success.copy(),
             "all_filled": np.all(self._wanted <= self.filled, axis=1),
-            "failure": FAILURES[self.failure],
+            "failure": self.failure.copy(),
             "depth": depth.copy(),
             "lateral_error": lateral.copy(),
             "alignment_error": angle.copy(),

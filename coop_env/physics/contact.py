@@ -72,12 +72,12 @@ class ContactBatch(PhysicsBatch):
         self._action = np.array(actions, np.float64)
         self._advance(self.command + actions * self.increments)
         depth = self.insertion[:, 0]
-        self.success = (depth >= task.insertion_depth) & (self.failure == 0)
+        self.success = (depth >= task.insertion_depth) & (self.failure == "")
         self.filled = self.active & self.success[:, None]
         paid = np.minimum(depth, task.insertion_depth)
         terms = self._terms("depth", task.depth_scale * (paid - self._paid), self.success)
         self._paid = paid
-        self._conclude(terms, self.success | (self.failure > 0))
+        self._conclude(terms, self.success | (self.failure != ""))
 
     def columns(self) -> dict[str, Any]:
         return {**super().columns(), "hole": self.hole.copy()}

@@ -5,20 +5,19 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.env import CoopInsertionEnv, Observation, check_action
+from coop_env.env import CoopInsertionEnv, Observation
 from coop_env.errors import ArgumentError, StateError, check_number
 from coop_env.physics import kernels
-from coop_env.physics.batch import TIME, row_of
+from coop_env.physics.batch import row_of
 from coop_env.physics.contact import in_units
 from coop_env.physics.env import with_privileged
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import split_options, start_configurations
 from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.scene import Scene
-from coop_env.simulation import batch, start_states
+from coop_env.simulation import start_states
 from coop_env.simulation.observation import observe_batch
 
 SETTLING: Final = 4
@@ -50,11 +49,6 @@ class Lead(WholeBatch):
         """The hole to aim at."""
         return int(self.hole[0])
 
-    @property
-    def failed(self) -> bool:
-        """Whether the episode has failed."""
-        return bool(self.failure[0])
-
     def reached(self) -> bool:
         """Whether the tip really meets the kinematic task's criterion at the target."""
         task, angle = self.machine.task, self.insertion[0, 2]
@@ -71,7 +65,7 @@ class Lead(WholeBatch):
         for k in range(1, n + 1):
             self.advance((start + way * (k / n))[None])
             touched = np.linalg.norm(self._wrench[0, :3]) > touch
-            if self.failed or not self.taken[0] or touched:
+            if self.failure[0] or not self.taken[0] or touched:
                 return False
         return True
 
@@ -88,7 +82,7 @@ class Lead(WholeBatch):
         above[2] += ROOM
         if all(self.lead(to, SETTLING) for to in (self._raised(above), above, start, start)):
             self._feel(self.finish)
-        if not self.failed:
+        if not self.failure[0]:
             all(self.lead(to, SETTLING) for to in (self._raised(above), above))
         return bool(self.filled[0, hole])
 
@@ -108,7 +102,7 @@ class Lead(WholeBatch):
             seen = in_units(self._felt(rows))[0]
             self._action = np.clip(np.asarray(policy(seen), np.float64), -1.0, 1.0)[None]
             self.advance(self.command + self._action * self.task.increments)
-            if self.failed or self.filled[0, hole]:
+            if self.failure[0] or self.filled[0, hole]:
                 return
 
 
@@ -206,29 +200,24 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         return self._seen(observation), self._merge(info)
 
     def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        if not self.running:
-            raise ResetNeeded("call reset() first: there is no running episode")
-        made, body = check_action(action), self.physics
-        before, filled = self._states.copy(), body.filled[0].copy()
-        violation = not self._move(made)
+        observation, reward, terminated, truncated, info = super().step(action)
+        return self._seen(observation), reward, terminated, truncated, self._merge(info)
+
+    def step_batch(self, *_: Any) -> None:
+        """Make the move on the twin, and write what a kernel would."""
+        body, row = self.physics, self._states[0]
+        filled, was_inside = body.filled[0].copy(), row["inside"].astype(bool)
+        violation = not self._move(int(self._actions[0]))
         new = body.filled[0] & ~filled
-        row = self._states[0]
-        inside = row["inside"].astype(bool) & filled & ~before[0]["inside"].astype(bool)
+        duplicate = not violation and bool(
+            (row["inside"].astype(bool) & filled & ~was_inside).any()
+        )
         row["filled"], row["active"] = body.filled[0], body.active[0]
-        duplicate = not violation and bool(inside.any())
-        flags = (violation, bool(new.any()), duplicate, bool(body.over[0]), body.failed)
+        flags = (violation, bool(new.any()), duplicate, bool(body.over[0]), bool(body.failure[0]))
         kernels.conclude(self._states, flags, body.target, self._packed, self._outcomes)
         observe_batch(self._states, self._packed, self._observation, self._rows)
-        outcome: Any = self._outcomes.item(0)
-        reward, terminated, truncated = outcome[-3:]
-        if truncated:
-            body.failure[0] = TIME
-        info = self._merge(batch.make_info(outcome))
-        gone = info["failure"] in ("snap", "diverged")
-        info["collision"] = violation and bool(body.taken[0]) and not gone
-        if self.render_mode is not None:
-            self._follow(self._tip())
-        return self._seen(self._rows[0].copy()), reward, terminated, truncated, info
+        if self._outcomes["truncated"][0]:
+            body.failure[0] = "time"
 
     def _seen(self, own: Observation) -> Any:
         if not self.physics.is_dict:
@@ -244,13 +233,13 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             body.taken[0] = False
             return False
         if body.finish is not None and self._states["inside"][0][target]:
-            if not body.insert() and not body.failed:
+            if not body.insert() and not body.failure[0]:
                 body.give_up(0)
             kernels.begin_again(self._states, body.command[0], self._packed)
             return True
         arrived = body.lead(self._states["configuration"][0], self._steps, self.touch)
-        if body.failed or body.filled[0, target]:
-            return not body.failed
+        if body.failure[0] or body.filled[0, target]:
+            return not body.failure[0]
         if body.finish is None and body.reached():
             body.fill(0)
         elif not arrived:
@@ -267,8 +256,15 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             real["distance"], real["alignment_error"] = self.physics.aimed[0].tolist()
         own = ("distance", "alignment_error", "time", "all_filled")
         measured = {name: real[name] for name in own}
-        singular, given_up = real["failure"] == "snap", [*self.physics.given_up[0]]
-        return {**real, **info, **measured, "singular": singular, "given_up": given_up}
+        gone = real["failure"] in ("snap", "diverged")
+        return {
+            **real,
+            **info,
+            **measured,
+            "collision": info["violation"] and bool(self.physics.taken[0]) and not gone,
+            "singular": real["failure"] == "snap",
+            "given_up": [*self.physics.given_up[0]],
+        }
 
     def scene(self) -> Scene:
         return self.physics.scene(0, self._trace)

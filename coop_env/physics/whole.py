@@ -8,14 +8,7 @@ from numpy.typing import NDArray
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import check_integer
 from coop_env.physics import kernels
-from coop_env.physics.batch import (
-    LIMIT,
-    NOT_INSERTED,
-    OBSERVED,
-    Bools,
-    PhysicsBatch,
-    row_of,
-)
+from coop_env.physics.batch import LIMIT, OBSERVED, Bools, PhysicsBatch, row_of
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import Options, draw_error, split_options
 
@@ -89,7 +82,7 @@ class WholeBatch(PhysicsBatch):
         """
         self._advance(wanted)
         self.inserted[:] = -1
-        deep = (self.failure == 0) & (self.insertion[:, 0] >= self.task.insertion_depth)
+        deep = (self.failure == "") & (self.insertion[:, 0] >= self.task.insertion_depth)
         self.distance = self._to_mouth()
         for row in np.flatnonzero(deep).tolist():
             if not self.filled[row, self.hole[row]]:
@@ -105,7 +98,7 @@ class WholeBatch(PhysicsBatch):
     @property
     def over(self) -> Bools:
         """Whether every active hole is filled, or the episode has failed."""
-        return (self.failure > 0) | ~np.any(self.active & ~self.filled, axis=1)
+        return (self.failure != "") | ~np.any(self.active & ~self.filled, axis=1)
 
     def fill(self, row: int) -> None:
         """Count a machine's target as filled, and aim at the next."""
@@ -119,7 +112,7 @@ class WholeBatch(PhysicsBatch):
         self.active[row, self.hole[row]] = False
         self.given_up[row].append(int(self.hole[row]))
         if self.over[row] and not self.success[row]:
-            self.failure[row] = NOT_INSERTED
+            self.failure[row] = "not inserted"
         self._next(row)
 
     def _next(self, row: int) -> None:
