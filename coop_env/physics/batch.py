@@ -126,8 +126,8 @@ class PhysicsBatch(ABC):
         """Reset options as :meth:`reset` takes them, or a ``ResetOptionError``."""
 
     @abstractmethod
-    def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
-        """Start an episode in one row, which draws from ``rng``; returns its info."""
+    def reset(self, row: int, options: Any, rng: np.random.Generator) -> None:
+        """Start an episode in one row, which draws from ``rng``."""
 
     @abstractmethod
     def step(self, actions: Floats) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.errors import ResetOptionError
-from coop_env.physics.batch import LIMIT, OBSERVED, PhysicsBatch, row_of
+from coop_env.physics.batch import LIMIT, OBSERVED, PhysicsBatch
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import OWN_OPTIONS, draw_error, split_options, start_configurations
 from coop_env.simulation.collision import peg_tip
@@ -49,7 +49,7 @@ class ContactBatch(PhysicsBatch):
             raise ResetOptionError(f"hole = {hole!r}: must be one of {choices}")
         return {**own, "hole": int(hole)}
 
-    def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
+    def reset(self, row: int, options: Any, rng: np.random.Generator) -> None:
         error = draw_error(self.task, rng)  # drawn whether or not an option sets it
         hole, friction = int(rng.choice(self._open)), float(rng.uniform(*self.task.friction))
         self.hole[row] = hole = options.get("hole", hole)
@@ -62,10 +62,6 @@ class ContactBatch(PhysicsBatch):
         self._paid[row] = self.insertion[row, 0]
         rows = slice(row, row + 1)
         self._first_joints[row] = self._joints(rows)[0]
-        info = row_of(self.columns(), row)
-        names = ("depth", "lateral_error", "alignment_error", "hole", "friction", "error",
-                 "privileged")  # fmt: skip
-        return {name: info[name] for name in names}
 
     def step(self, actions: Floats) -> None:
         task = self.task

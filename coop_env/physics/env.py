@@ -56,10 +56,11 @@ class PhysicsRow(Rendered):
         self.batch.twin.require_open()
         super().reset(seed=seed)
         self._running = False  # until the machine stands
-        info = self.batch.reset(row, checked, self.np_random)
+        self.batch.reset(row, checked, self.np_random)
         self._running = True
         if self.render_mode is not None:
             self._follow(self.batch.twin.readings().tip[row], first=True)
+        info = row_of(self.batch.columns(), row)
         return row_of(self.batch.seen(slice(row, row + 1)), 0), info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

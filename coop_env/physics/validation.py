@@ -20,7 +20,7 @@ class Validation(NamedTuple):
     """Errors of each pose (n,): what is measured on the twin minus what the kinematics say.
 
     ``tip``, ``centre`` (the platform's) and ``loop`` (the farthest that a tied joint is apart) in
-    m; ``platform`` (its angle) and ``joints`` (the worst of six) in rad; ``steps`` are timesteps.
+    m; ``platform`` (its angle) and ``joints`` (the worst of six) in rad.
     """
 
     tip: Floats
@@ -28,7 +28,6 @@ class Validation(NamedTuple):
     platform: Floats
     joints: Floats
     loop: Floats
-    steps: int
 
 
 def draw_poses(twin: Twin, n: int, seed: int) -> Floats:
@@ -68,8 +67,7 @@ def validate(twin: Twin, poses: Floats) -> Validation:
         loops = [loop_residual(twin, row) for row in range(twin.n)]
         errors = np.array([*twin.errors(readings, goals), joints, loops])
         result.append(np.where(twin.diverged, np.inf, errors)[:, : len(batch)])
-    tip, centre, platform, joints, loop = np.concatenate(result, axis=1)
-    return Validation(tip, centre, platform, joints, loop, len(fraction) * len(poses))
+    return Validation(*np.concatenate(result, axis=1))
 
 
 def loop_residual(twin: Twin, row: int) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import check_integer
 from coop_env.physics import kernels
-from coop_env.physics.batch import LIMIT, OBSERVED, Bools, PhysicsBatch, row_of
+from coop_env.physics.batch import LIMIT, OBSERVED, Bools, PhysicsBatch
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import Options, draw_error, split_options
 
@@ -47,12 +47,11 @@ class WholeBatch(PhysicsBatch):
         self._starts.check_options(rest)
         return own, rest
 
-    def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
+    def reset(self, row: int, options: Any, rng: np.random.Generator) -> None:
         own, rest = options
         self._starts.np_random = rng  # one stream: a seed's start is the kinematic one's
         self._starts.reset(options=rest)
         self.begin(row, self._starts.state, own, rng)
-        return row_of(self.columns(), row)
 
     def begin(self, row: int, state: np.void, own: Options, rng: np.random.Generator) -> None:
         """Set a machine down at a state of the kinematic task; ``rng`` draws what ``own`` lacks."""

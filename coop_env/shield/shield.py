@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from coop_env.env import CoopInsertionEnv, check_action
-from coop_env.errors import ActionError, ArgumentError, ResetOptionError, as_dataclass, check_number
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError, as_dataclass, keep_number
 from coop_env.shield import kernels
 from coop_env.simulation.start_states import as_configuration
 from coop_env.simulation.task import N_ACTIONS, N_AXES, EnvParams, pack
@@ -47,8 +47,7 @@ class ShieldMargin:
 
     def __post_init__(self) -> None:
         for name, most in (("sigma", 1.0), ("joint", 0.5), ("reach", 0.5), ("clearance", 0.1)):
-            number = check_number(f"ShieldMargin.{name}", getattr(self, name), 0.0, most)
-            object.__setattr__(self, name, number)
+            keep_number(self, name, 0.0, most)
 
     def tighten(self, p: EnvParams) -> EnvParams:
         """The task's parameters with limits moved inwards and bodies grown by the clearance.

@@ -60,16 +60,10 @@ class CoopInsertionTeamVecEnv(CoopInsertionVecEnv):
         super().__init__(check_integer("n_teams", n_teams, 1), seed, sight=sight, **kwargs)
 
     def _make_spaces(self) -> tuple[spaces.Box, spaces.Discrete]:
-        own = self.envs[0].agent_spaces.values()
-        low = np.min([space.low for space in own], axis=0)
-        high = np.max([space.high for space in own], axis=0)
-        n = self._indicator.shape[1]
-        space = spaces.Box(
-            np.append(low, np.zeros(n, np.float32)),
-            np.append(high, np.ones(n, np.float32)),
-            dtype=np.float32,
-        )
-        return space, spaces.Discrete(joint.N_CHOICES)
+        own, n = self.envs[0].agent_spaces.values(), self._indicator.shape[1]
+        low = np.pad(np.min([space.low for space in own], axis=0), (0, n))
+        high = np.pad(np.max([space.high for space in own], axis=0), (0, n), constant_values=1)
+        return spaces.Box(low, high, dtype=np.float32), spaces.Discrete(joint.N_CHOICES)
 
     def _observed(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
         shared: NDArray[np.float32] = self.envs[0].share(rows)

@@ -42,7 +42,6 @@ def measure_errors(geometry: str, poses: int, _: Tick) -> dict[str, Any]:
     return {
         name: {"median": float(np.median(part)), "largest": float(np.max(part))}
         for name, part in result._asdict().items()
-        if name != "steps"
     }
 
 
