@@ -223,11 +223,9 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def _own_masks(self) -> NDArray[np.bool_]:
-        try:
-            masks = self.env.get_wrapper_attr("action_masks")
-        except AttributeError:
+        if not self.env.has_wrapper_attr("action_masks"):
             return np.ones(N_ACTIONS, np.bool_)
-        return np.asarray(masks(), np.bool_)
+        return np.asarray(self.env.get_wrapper_attr("action_masks")(), np.bool_)
 
     def _certify(self, action: Any) -> tuple[Any, bool]:
         inner: Any = self.env.unwrapped
