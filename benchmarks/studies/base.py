@@ -226,14 +226,30 @@ def count(default: int | None, what: str, least: int = 1) -> Option:
 
 
 def episode(env: Any, act: Callable[[Any], Any], **reset: Any) -> Iterator[dict[str, Any]]:
-    """Play an episode; yields the ``info`` of its reset, with these arguments, and of each step."""
+    """Play an episode; yields the ``info`` of its reset, with these arguments, and of each step.
+
+    It ends with the environment's, or where ``act`` has no action after an observation.
+    """
     observation, info = env.reset(**reset)
     yield info
     over = False
-    while not over:
-        observation, _, terminated, truncated, info = env.step(act(observation))
+    while not over and (action := act(observation)) is not None:
+        observation, _, terminated, truncated, info = env.step(action)
         over = terminated or truncated
         yield info
+
+
+def by_plans(env: Any, plan: Callable[[Any], Any]) -> Callable[..., Any]:
+    """Moves of plans, hole by hole, run open loop, as far as one leads into its hole; then None."""
+
+    def moves() -> Iterator[int]:
+        filled = -1
+        while env.running and (done := int(env.state["filled"].sum())) > filled:
+            filled, found = done, plan(env).moves
+            yield from () if found is None else map(int, found)
+
+    result = moves()
+    return lambda *_: next(result, None)
 
 
 def greedy(model: Any) -> Act:

@@ -18,14 +18,14 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import metadata
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 from unittest import mock
 
 import gymnasium
 import numpy as np
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluation.evaluate import follow, play_together, with_random_moves
+from benchmarks.evaluation.evaluate import with_random_moves
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.oracle import LatticeOracle
@@ -36,9 +36,9 @@ from benchmarks.protocol.seeding import derive
 from benchmarks.reporting.tables.table import Table, TableCell
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
-from benchmarks.studies.base import OfOneFile, Part, Tick, count, read_stored
-from benchmarks.studies.robots.trials import script_of
-from coop_env.env import CoopInsertionEnv, Observation
+from benchmarks.studies.base import OfOneFile, Part, Tick, by_plans, count, read_stored
+from benchmarks.studies.robots.trials import begun, script_of
+from coop_env.env import CoopInsertionEnv
 
 NAMESPACE: Final = "coop-insertion"
 TRACK: Final = "safe"
@@ -56,58 +56,8 @@ CONTACT: Final = {
     "contact-moment": "moment-guided search",
     "contact-spiral": "spiral search",
 }
-TOGETHER: Final = 32  # episodes side by side: a script is asked once for all of them
-
-
-class RecordingEnv(CoopInsertionEnv):
-    """The environment, which keeps what happens in an episode."""
-
-    def reset(self, **given: Any) -> tuple[Observation, dict[str, Any]]:
-        """As the environment's; begins a new record."""
-        observation, info = super().reset(**given)
-        self.observations, self.steps = [observation], list[tuple[int, float, bool, bool]]()
-        self.infos: dict[str, list[Any]] = {
-            "action_masks": [self.action_masks()],
-            "n_filled": [int(info["n_filled"])],
-        }
-        return observation, info
-
-    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """As the environment's; what came of the move is kept."""
-        observation, reward, terminated, truncated, info = super().step(action)
-        self.observations.append(observation)
-        self.infos["action_masks"].append(self.action_masks())
-        self.infos["n_filled"].append(int(info["n_filled"]))
-        self.steps.append((int(action), reward, terminated, truncated))
-        return observation, reward, terminated, truncated, info
-
-
-class Played(NamedTuple):
-    """An episode to its end; ``observations`` and ``infos`` begin before the first step."""
-
-    seed: int
-    observations: list[Any]
-    infos: dict[str, list[Any]]
-    steps: list[tuple[Any, float, bool, bool]]  # action, reward, terminated, truncated
-    filled: int
-    holes: int
-
-    def to_minari(self) -> Any:
-        """As Minari takes it; one that a behaviour gave up is truncated there."""
-        from minari.data_collector import EpisodeBuffer
-
-        columns = (np.array(column) for column in zip(*self.steps, strict=True))
-        actions, rewards, terminated, truncated = columns
-        truncated[-1] |= not terminated[-1]
-        return EpisodeBuffer(
-            seed=self.seed,
-            observations=np.array(self.observations),
-            actions=actions,
-            rewards=rewards,
-            terminations=terminated,
-            truncations=truncated,
-            infos={name: np.array(values) for name, values in self.infos.items()},
-        )
+Script = Callable[[Any], Any]  # from an observation to an action, or None
+Played = tuple[Any, int]  # an episode in Minari's buffer, and how many holes it filled
 
 
 @dataclass(frozen=True)
@@ -158,74 +108,75 @@ def arguments_of_the_task() -> dict[str, Any]:
 
 def play(recipe: Recipe, progress: Callable[[int], None]) -> list[Played]:
     """Whole episodes from the first on, until they have the recipe's steps together."""
-    together = _demonstrate(recipe) if recipe.behaviour in CONTACT else _move(recipe)
-    kept: list[Played] = []
-    done = 0
+    env, kept, done = recipe.environment().unwrapped, list[Played](), 0
+    begin = _acting(recipe, env)
     while done < recipe.steps:
-        for episode in together(len(kept), recipe.steps - done):
-            if done < recipe.steps:
-                kept.append(episode)
-                done += len(episode.steps)
+        number = len(kept)
+        kept.append(record(env, derive("data", number), begin(number)))
+        done += len(kept[-1][0])
         progress(done)
     return kept
 
 
-def _demonstrate(recipe: Recipe) -> Callable[[int, int], list[Played]]:
-    env = recipe.environment().unwrapped
-    script = script_of(recipe.title, env, {})
+def record(env: Any, seed: int, act: Script) -> Played:
+    """Play an episode to its end; where ``act`` has no action after an observation, it is cut off.
 
-    def one(number: int, _: int) -> list[Played]:
-        seed, steps = derive("data", number), []
-        observation, info = env.reset(seed=seed)
-        script.reset()
-        observations, privileged, over = [observation], [info["privileged"]], False
-        while not over:
-            action = np.asarray(script(observation), np.float32)
-            observation, reward, terminated, truncated, info = env.step(action)
-            observations.append(observation)
-            privileged.append(info["privileged"])
-            steps.append((action, reward, terminated, truncated))
-            over = terminated or truncated
-        infos = {"privileged": privileged}
-        return [Played(seed, observations, infos, steps, int(info["success"]), 1)]
+    Observations and infos begin before the first step.
+    """
+    from minari.data_collector import EpisodeBuffer
 
-    return one
-
-
-def _move(recipe: Recipe) -> Callable[[int, int], list[Played]]:
-    arguments, oracle = arguments_of_the_task(), LatticeOracle()
-    longest = CoopInsertionEnv(**arguments).params.task.max_moves
-    script = control("lookahead_observed", load_preset("cut").tracks[TRACK].controls, 0)
-
-    def together(first: int, steps: int) -> list[Played]:
-        numbers = range(first, first + min(TOGETHER, steps // longest + 1))
-        envs = [RecordingEnv(**arguments) for _ in numbers]
-        batch = [Episode(env, n, derive("data", n)) for env, n in zip(envs, numbers, strict=True)]
-        if recipe.behaviour == "optimum":
-            for episode in batch:
-                follow(episode, oracle.plan)
-        else:
-            generators = [np.random.default_rng(derive("data", e.number, 1)) for e in batch]
-            expert, share = script(batch), RANDOM_SHARE[recipe.behaviour]
-            play_together(with_random_moves(expert, generators, share), batch, 0.0, 0)
-        return [
-            Played(e.reset_seed, env.observations, env.infos, env.steps, len(e.insertions), N_HOLES)
-            for e, env in zip(batch, envs, strict=True)
-        ]
-
-    return together
+    moves, (seen, info), over = isinstance(env, CoopInsertionEnv), env.reset(seed=seed), False
+    result = EpisodeBuffer(seed=seed, observations=[], actions=[], infos={})
+    while True:
+        result.observations.append(seen)
+        told = (
+            {"action_masks": env.action_masks(), "n_filled": int(info["n_filled"])}
+            if moves
+            else {"privileged": info["privileged"]}
+        )
+        for name, value in told.items():
+            result.infos.setdefault(name, []).append(value)
+        if over or (action := act(seen)) is None:
+            break
+        seen, reward, terminated, truncated, info = env.step(action)
+        result.actions.append(action)
+        result.rewards.append(reward)
+        result.terminations.append(terminated)
+        result.truncations.append(truncated)
+        over = terminated or truncated
+    if result.rewards and not over:
+        result.truncations[-1] = True
+    return result, int(info["n_filled"] if moves else info["success"])
 
 
-def measure(episodes: Sequence[Played]) -> dict[str, Any]:
+def _acting(recipe: Recipe, env: Any) -> Callable[[int], Script]:
+    """Who acts in an episode, by its number."""
+    if recipe.behaviour == "optimum":
+        oracle = LatticeOracle()
+        return lambda _: by_plans(env, oracle.plan)
+    if recipe.behaviour in CONTACT:
+        return lambda _: begun(script_of(recipe.title, env, {}))
+    track, share = load_preset("cut").tracks[TRACK], RANDOM_SHARE[recipe.behaviour]
+    expert = control("lookahead_observed", track.controls, 0)([Episode(env, 0, 0)])
+
+    def begin(number: int) -> Script:
+        rng = np.random.default_rng(derive("data", number, 1))
+        choose = with_random_moves(expert, [rng], share)
+        return lambda seen: int(choose(seen[None], env.action_masks()[None], [0])[0])
+
+    return begin
+
+
+def measure(episodes: Sequence[Played], most: int = N_HOLES) -> dict[str, Any]:
     """What the metadata and the table say of a dataset; starts without a move count, too."""
-    rewards = np.array([sum(reward for _, reward, *_ in e.steps) for e in episodes])
-    holes = np.array([episode.filled for episode in episodes])
+    rewards = np.array([sum(buffer.rewards) for buffer, _ in episodes])
+    holes = np.array([filled for _, filled in episodes])
     return {
-        "steps": sum(len(episode.steps) for episode in episodes),
+        "steps": sum(len(buffer) for buffer, _ in episodes),
         "starts": len(episodes),
-        "episodes": sum(bool(episode.steps) for episode in episodes),
+        "episodes": sum(len(buffer) > 0 for buffer, _ in episodes),
         "success": float((holes > 0).mean()),
-        "all_holes": float((holes == episodes[0].holes).mean()),
+        "all_holes": float((holes == most).mean()),
         "holes": float(holes.mean()),
         "return": float(rewards.mean()),
         "return_std": float(rewards.std()),
@@ -236,7 +187,7 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Played]) -> None:
     """Make the dataset beside its place and rename it into it."""
     import minari
 
-    buffers = [episode.to_minari() for episode in episodes if episode.steps]
+    buffers = [buffer for buffer, _ in episodes if len(buffer)]
     root.mkdir(parents=True, exist_ok=True)
     root = root.resolve()  # Minari loses its way below a relative folder
     with tempfile.TemporaryDirectory(dir=root, prefix=".") as temporary, minari_root(temporary):
@@ -251,8 +202,9 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Played]) -> None:
                 description=f"Insertion by the {recipe.title}, with "
                 + ("privileged state" if recipe.behaviour in CONTACT else "action masks"),
             )
-        record = {"settings": recipe.settings(), "measured": measure(episodes)}
-        dataset.storage.update_metadata({**record, "commit": describe()["commit"]})
+        measured = measure(episodes, 1 if recipe.behaviour in CONTACT else N_HOLES)
+        about = {"settings": recipe.settings(), "measured": measured}
+        dataset.storage.update_metadata({**about, "commit": describe()["commit"]})
         (root / NAMESPACE).mkdir(exist_ok=True)
         for made in sorted((Path(temporary) / NAMESPACE).iterdir()):
             if made.is_dir() or not (root / NAMESPACE / made.name).exists():

@@ -25,9 +25,19 @@ from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save
 from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.machine import describe
-from benchmarks.studies.base import Measured, Part, Tick, count, source, stored_player
+from benchmarks.studies.base import (
+    Act,
+    Measured,
+    Part,
+    Tick,
+    by_plans,
+    count,
+    episode,
+    source,
+    stored_player,
+)
 from coop_env.env import CoopInsertionEnv
-from coop_env.geometry import GEOMETRIES
+from coop_env.geometry import resolve_rrs
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.trajectory import Trajectory, make_trajectory
 
@@ -42,7 +52,7 @@ KEYS: Final = ("seconds_first", "seconds", "blocked_first", "error", "torque", "
 OPTIMUM: Final = "optimum"
 PLANNER: Final = "RRT-Connect"
 
-Play = Callable[[CoopInsertionEnv], Iterator[int]]
+Play = Callable[[CoopInsertionEnv], Act]  # who plays in an environment
 Row = dict[str, Any]
 
 
@@ -54,51 +64,38 @@ class Way(NamedTuple):
     first: int
 
 
-def optimum(env: CoopInsertionEnv) -> Iterator[int]:
-    """Moves of the exact optimum, hole by hole, as far as there is a plan."""
-    for plan in LatticeOracle().plan_episode(env):
-        yield from () if plan.moves is None else map(int, plan.moves)
+def optimum(env: CoopInsertionEnv) -> Act:
+    """The exact optimum in an environment."""
+    return by_plans(env, LatticeOracle().plan)
 
 
-def planner(env: CoopInsertionEnv) -> Iterator[int]:
-    """Moves of RRT-Connect, planned hole by hole and run open loop, as far as a plan does."""
+def planner(env: CoopInsertionEnv) -> Act:
+    """RRT-Connect in an environment."""
     from benchmarks.methods.rrt_connect import RRTConnect
 
-    limits, filled = load_preset("cut").planner, -1
-    rrt = RRTConnect(limits.time_limit, limits.max_iterations)
-    while env.running and (done := int(env.state["filled"].sum())) > filled:
-        filled, plan = done, rrt.plan(env)
-        yield from () if plan.moves is None else map(int, plan.moves)
+    limits = load_preset("cut").planner
+    return by_plans(env, RRTConnect(limits.time_limit, limits.max_iterations).plan)
 
 
 NOMINAL: Final[tuple[dict[str, Any], Play]] = ({"geometry": "optimized"}, optimum)
 
 
 def stored(path: Path) -> tuple[dict[str, Any], Play]:
-    """The environment's arguments of a stored policy, and its greedy moves."""
+    """The environment's arguments of a stored policy, and the policy."""
     arguments, act = stored_player(path)
-    if arguments.get("geometry", "optimized") not in GEOMETRIES:
-        raise BenchmarkError(f"{path}: give a policy on one of {sorted(GEOMETRIES)}")
-
-    def play(env: CoopInsertionEnv) -> Iterator[int]:
-        while env.running:
-            yield act(env.observe(), env.action_masks())
-
-    return arguments, play
+    return {**NOMINAL[0], **arguments}, lambda env: act
 
 
 def played(arguments: dict[str, Any], play: Play, seed: int) -> Way:
     """The way of one episode, and what it filled; a move that was refused adds nothing to it."""
     env = CoopInsertionEnv(**arguments)
-    _, info = env.reset(seed=seed)
-    target, first, way = int(info["target"]), 0, [env.configuration]
-    for move in play(env):
-        _, _, terminated, truncated, info = env.step(move)
+    act = play(env)
+    steps = episode(env, lambda seen: act(seen, env.action_masks()), seed=seed)
+    target, first, way = int(next(steps)["target"]), 0, [env.configuration]
+    for info in steps:
         if not (info["violation"] or info["singular"]):
             way.append(env.configuration)
         first = first or (len(way) - 1 if info["inserted"] else 0)
-        if terminated or truncated:
-            break
     return Way(np.array(way), target, first)
 
 
@@ -176,7 +173,7 @@ def measure(method: str, model: Path, starts: int, tick: Tick) -> list[Row]:
 
     players = {OPTIMUM: NOMINAL, PLANNER: (NOMINAL[0], planner)}
     arguments, play = players.get(method) or stored(model)
-    driver = TwinDriver(Machine(rrs=GEOMETRIES[arguments.get("geometry", "optimized")]))
+    driver = TwinDriver(Machine(rrs=resolve_rrs(arguments["geometry"])))
     rows: list[Row] = []
     for number, seed in enumerate(episode_seeds(0, starts, "test")):
         rows += rows_of(method, played(arguments, play, seed), number, driver)
@@ -209,9 +206,10 @@ class TrajectoryStudy(Measured):
         way = played(arguments, play, episode_seeds(0, given.start + 1, "test")[-1])
         if len(way.configurations) < 2:
             raise BenchmarkError(f"start {given.start}: no move was made; choose another --start")
-        geometry = arguments.get("geometry", "optimized")
         try:
-            trajectory = make_trajectory(way.configurations, geometry, blend=given.blend)
+            trajectory = make_trajectory(
+                way.configurations, arguments["geometry"], blend=given.blend
+            )
         except DependencyNotInstalled as missing:
             raise BenchmarkError(str(missing)) from missing
         export(given.export, trajectory)

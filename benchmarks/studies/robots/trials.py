@@ -51,8 +51,7 @@ def play(
     rows = []
     for number in range(episodes):
         given = options(stream, number, error)
-        getattr(script, "reset", lambda: None)()
-        steps = episode(env, script, seed=derive(stream, 13, number, 1), options=given)
+        steps = episode(env, begun(script), seed=derive(stream, 13, number, 1), options=given)
         (info,) = deque(steps, maxlen=1)
         rows.append({
             "success": bool(info["success"]),
@@ -61,6 +60,12 @@ def play(
             "failure": info["failure"] or ("" if info["success"] else "time"),
         })  # fmt: skip
     return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def begun(script: Any) -> Any:
+    """A script, or a policy, at the beginning of an episode."""
+    getattr(script, "reset", lambda: None)()
+    return script
 
 
 def policy_of(model: Any) -> Callable[[Any], Any]:

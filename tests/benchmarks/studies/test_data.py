@@ -87,9 +87,8 @@ def test_a_dataset_of_another_recipe_is_refused(results: Path, refused: Callable
 
 
 def test_starts_without_a_move_count_as_failures() -> None:
-    idle = data.Played(0, [], {}, [], 0, 6)
-    done = idle._replace(steps=29 * [(0, 0.0, False, False)] + [(0, 20.0, True, False)], filled=1)
-    result = data.measure([idle, done])
+    idle, done = (minari.data_collector.EpisodeBuffer(rewards=r) for r in ([], 29 * [0.0] + [20.0]))
+    result = data.measure([(idle, 0), (done, 1)])
     assert (result["starts"], result["episodes"], result["steps"]) == (2, 1, 30)
     assert (result["success"], result["holes"], result["return"]) == (0.5, 0.5, 10.0)
 
