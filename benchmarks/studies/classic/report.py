@@ -47,17 +47,14 @@ def build_tables(results: SuiteResults) -> list[Table]:
     """All tables that the stored runs can fill."""
     if results.preset.search:
         return [_search(results)]
-    tables = []
-    if results.preset.tasks:
-        tables.append(_scores(results))
-        if results.preset.controls:
-            tables.append(_controls(results))
-        # who reads masks beside who does not is no comparison of learners
-        tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
-        if len(tasks) > 1 and len(results.preset.methods) > 1:
-            tables.append(_together(results, tasks))
-        tables += [*contact.learner_tables(results), _speed(results)]
-    return tables
+    tables = [_scores(results)]
+    if results.preset.controls:
+        tables.append(_controls(results))
+    # who reads masks beside who does not is no comparison of learners
+    tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
+    if len(tasks) > 1 and len(results.preset.methods) > 1:
+        tables.append(_together(results, tasks))
+    return [*tables, *contact.learner_tables(results), _speed(results)]
 
 
 def page(store: Store) -> str:
@@ -206,7 +203,7 @@ def pictures(results: SuiteResults) -> list[style.Picture]:
     """What the stored runs can show."""
     result = []
     # of a search the curves would be more than can be told apart
-    if results.preset.tasks and not results.preset.search:
+    if not results.preset.search:
         result.append(style.Picture("curves", partial(_curves, results)))
     if contact.levels(results):
         result.append(style.Picture("contact", partial(contact.draw_learners, results)))

@@ -31,6 +31,7 @@ from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.errors import ResetOptionError
 from coop_env.geometry import DELTA, OPTIMIZED
 from coop_env.shield import KinematicShield, ShieldMargin, ShieldWrapper, certificate
+from coop_env.shield.certificate import Certificate
 from coop_env.simulation import dynamics
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.state import VALID
@@ -202,8 +203,8 @@ def draw_machine(rng: np.random.Generator) -> CoopInsertionEnv:
         return env
 
 
-def attack(env: CoopInsertionEnv, moves: int, rng: np.random.Generator) -> dict[str, int]:
-    """Certified moves of a machine where its robots may meet, and how many of them harm.
+def attack(env: CoopInsertionEnv, moves: int, rng: np.random.Generator) -> Certificate:
+    """Certified moves of a machine where its robots may meet.
 
     Every other time they start over the dome, where the Delta has just come low enough.
     """
@@ -222,18 +223,17 @@ def attack(env: CoopInsertionEnv, moves: int, rng: np.random.Generator) -> dict[
             result += certificate.check_product(shield, env.params, one, other, looks=LOOKS)
         if result.moves >= moves:
             break
-    return {"moves": result.moves, "harmful": result.harmful}
+    return result
 
 
 def search(machines: int, tick: Tick) -> dict[str, int]:
     """The attack on so many machines, all together."""
-    total = {"machines": machines, "moves": 0, "harmful": 0}
+    total = certificate.NOTHING
     for number in range(machines):
         rng = np.random.default_rng(derive("fresh", 16, number))
-        result = attack(draw_machine(rng), MOVES, rng)
-        total |= {key: total[key] + value for key, value in result.items()}
+        total += attack(draw_machine(rng), MOVES, rng)
         tick((number + 1) / machines)
-    return total
+    return {"machines": machines, "moves": total.moves, "harmful": total.harmful}
 
 
 def at_the_margin(real: SimToReal, configurations: int, tick: Tick) -> dict[str, int]:
@@ -275,12 +275,8 @@ def _status(env: CoopInsertionEnv, base: Floats, longer: float) -> int:
     """How a configuration is for a machine whose base stands so, and whose links are so long."""
     states = env._states.copy()
     machine = states[0]["machine"]
-    r, d = env.params.rrs, env.params.delta
     machine["base"] = base
-    machine["lengths"] = (1.0 + longer) * np.array(
-        [r.base_radius, r.proximal_length, r.platform_radius, r.distal_length,
-         d.base_radius, d.effector_radius, d.proximal_length, d.distal_length]
-    )  # fmt: skip
+    machine["lengths"] = (1.0 + longer) * np.array([*env.params.rrs[:4], *env.params.delta[:4]])
     return int(dynamics.settle(states[0], env.params))
 
 

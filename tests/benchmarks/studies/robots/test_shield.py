@@ -71,8 +71,8 @@ def test_no_certified_move_harms_another_machine(machine: dict[str, Any] | None)
     env = draw_machine(rng) if machine is None else CoopInsertionEnv(**machine)
     env.reset(seed=1)
     result = attack(env, 10_000, rng)
-    assert result["moves"] >= 10_000
-    assert result["harmful"] == 0
+    assert result.moves >= 10_000
+    assert result.harmful == 0
 
 
 def test_the_margin_covers_the_worst_machine_within_its_bounds_and_no_worse_one() -> None:
