@@ -24,7 +24,7 @@ from benchmarks.reporting.stats import (
 from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.envs import MASKED_IDENTITY
-from benchmarks.studies.classic.results import SuiteResults
+from benchmarks.studies.classic.results import SuiteResults, with_interval
 from benchmarks.studies.robots import contact
 
 # tables of the page, each with its figure
@@ -141,7 +141,7 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
             middle = _by_tasks(theirs.T, interquartile_mean)
         if method != ours and len(theirs) and len(scores[ours]):
             better = _by_tasks([*scores[ours].T, *theirs.T], improvement)
-        shown = [_with_interval(value, 2) for value in (middle, better)]
+        shown = [with_interval(value, 2) for value in (middle, better)]
         rows.append([of_suite(method), str(len(theirs)), *shown])
     return Table(
         "together",
@@ -163,16 +163,7 @@ def _by_tasks(tasks: Iterable[Array], statistic: Callable[..., Any]) -> Value:
 
 def _shown(results: SuiteResults, tasks: Iterable[str], methods: Iterable[str]) -> list[TableCell]:
     """Scores with their intervals, of one task or of one method."""
-    return [_with_interval(results.score(*pair)) for pair in product(tasks, methods)]
-
-
-def _with_interval(value: Value, digits: int | None = None) -> str:
-    if math.isnan(value.mean):
-        return "-"
-    if digits is None:
-        digits = 0 if abs(value.mean) >= 100 else 1
-    interval = "" if math.isnan(value.low) else f" {value.interval_text(digits)}"
-    return f"{value.mean:.{digits}f}{interval}"
+    return [with_interval(results.score(*pair)) for pair in product(tasks, methods)]
 
 
 def _speed(results: SuiteResults) -> Table:

@@ -88,3 +88,13 @@ def student(scores: Sequence[float]) -> Value:
     Of so few numbers the bootstrap's percentiles are too narrow.
     """
     return measured(scores) if len(scores) > 2 else over_seeds(scores)
+
+
+def with_interval(value: Value, digits: int | None = None) -> str:
+    """A mean with its interval, if it has one, as tables show it."""
+    if math.isnan(value.mean):
+        return "-"
+    if digits is None:
+        digits = 0 if abs(value.mean) >= 100 else 1
+    interval = "" if math.isnan(value.low) else f" {value.interval_text(digits)}"
+    return f"{value.mean:.{digits}f}{interval}"

@@ -26,7 +26,7 @@ from benchmarks.reporting.figures import style
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.tables.table import Table, plain
 from benchmarks.studies.base import Measured, Part, Tick, count, episode, read_stored, source
-from benchmarks.studies.classic.results import SuiteResults, student
+from benchmarks.studies.classic.results import SuiteResults, student, with_interval
 from benchmarks.studies.media import write_animation
 from benchmarks.studies.robots import trials
 from benchmarks.studies.robots.trials import LEVEL, TRAINED, WHAT, Row, play, script_of
@@ -228,14 +228,12 @@ def _entries(results: SuiteResults) -> Iterator[Entry]:
             if not (runs := [run.folder.rows("contact") for run in results.runs(task, method)]):
                 continue
             value = student([trials.medians(_of(rows, trials.DRAWN))[0] for rows in runs])
-            interval = ""
-            if not math.isnan(value.low):
-                interval = f" [{max(value.low, 0.0):.1f}, {min(value.high, 100.0):.1f}]"
+            value = replace(value, low=max(value.low, 0.0), high=min(value.high, 100.0))
             rows = pd.concat(runs)
             yield Entry(
                 *(level, of_suite(method), str(len(runs))),
                 [_of(rows, error) for error in trials.CONDITIONS],
-                f"{value.mean:.1f}{interval}",
+                with_interval(value, 1),
                 {"color": style.METHOD_COLOURS.get(method, style.PALETTE[-1])},
             )
         for number, (name, one) in enumerate(stored.get(level, {}).items()):
