@@ -4,6 +4,7 @@ import ast
 import configparser
 import re
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -65,9 +66,12 @@ def _imports(path: Path) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+IMPORTS = {name: {*_imports(path)} for name, path in SOURCES.items()}
+
+
 def _imported_modules(name: str) -> set[str]:
     """Modules of this house that a module imports, wherever in it; not the packages around them."""
-    named = {target for target in _imports(SOURCES[name]) if target in SOURCES}
+    named = {target for target in IMPORTS[name] if target in SOURCES}
     packages = {target for target in named if SOURCES[target].name == "__init__.py"}
     return {
         target
@@ -104,18 +108,7 @@ def test_imports_never_go_up(package: str) -> None:
 
 
 def test_no_circle_of_imports() -> None:
-    graph = {name: _imported_modules(name) for name in SOURCES}
-    done: set[str] = set()
-
-    def visit(name: str, path: tuple[str, ...]) -> None:
-        assert name not in path, " -> ".join([*path[path.index(name) :], name])
-        if name not in done:
-            for target in sorted(graph[name]):
-                visit(target, (*path, name))
-            done.add(name)
-
-    for name in sorted(graph):
-        visit(name, ())
+    TopologicalSorter({name: _imported_modules(name) for name in SOURCES}).prepare()
 
 
 @pytest.mark.parametrize("prefix", sorted(FORBIDDEN))
@@ -125,7 +118,7 @@ def test_rooms_keep_to_themselves(prefix: str) -> None:
     wrong = [
         f"{name} imports {target}"
         for name in modules
-        for target in _imports(SOURCES[name])
+        for target in sorted(IMPORTS[name])
         for bad in FORBIDDEN[prefix]
         if _is_within(target, bad) and (name, bad) != ALLOWED
     ]
@@ -148,13 +141,21 @@ def test_no_path_of_one_machine() -> None:
     assert wrong == []
 
 
-def test_the_version_is_the_same_wherever_it_stands() -> None:
+def test_what_setup_cfg_says_is_the_same_wherever_it_stands() -> None:
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg")
+    said = setup["metadata"]
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     page = (ROOT / "docs" / "citing.md").read_text(encoding="utf-8")
     assert f"version = {{{cited['version']}}}" in page
-    stated = {cited["version"], setup["metadata"]["version"]}
-    assert stated == {coop_env.__version__} == {sb3_rainbow.__version__}
+    assert (
+        {cited["version"], said["version"]} == {coop_env.__version__} == {sb3_rainbow.__version__}
+    )
+    for name in ("CITATION.cff", "LICENSE", "docs/citing.md"):
+        assert said["author"] in (ROOT / name).read_text(encoding="utf-8"), name
+    assert said["url"] in (ROOT / "examples" / "rainbow.ipynb").read_text(encoding="utf-8")
+
+
+def test_a_package_lists_what_it_exports() -> None:
     for package in (coop_env, sb3_rainbow):
         assert set(dir(package)) == set(package.__all__)
