@@ -51,7 +51,7 @@ class Toy(gym.Env):
     def _observation(self) -> Any:
         return self.observation_space.sample() if self.shown is None else self.shown(self.steps)
 
-    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         self.steps = 0
         return self._observation(), {}
 

@@ -13,13 +13,13 @@ from torch import nn
 
 from sb3_rainbow import MlpPolicy, Rainbow
 from sb3_rainbow.export import ExportError, to_onnx, to_program
+from tests.sb3_rainbow.small import make
 
 onnxruntime = pytest.importorskip("onnxruntime")
-SMALL: dict[str, Any] = {"buffer_size": 200, "device": "cpu", "seed": 0}
 
 
 def acrobot(policy: Any = "MlpPolicy", **settings: Any) -> Rainbow:
-    return Rainbow(policy, "Acrobot-v1", **SMALL, **settings)
+    return make(policy, "Acrobot-v1", **settings)
 
 
 def session(model: Rainbow, path: Path) -> Any:
@@ -57,7 +57,8 @@ def images() -> FakeImageEnv:
 def test_a_thousand_actions_in_onnx(
     policy: str, env: Any, kwargs: dict[str, Any], tmp_path: Path
 ) -> None:
-    model = Rainbow(policy, env if isinstance(env, str) else env(), **SMALL, **kwargs)
+    settings = {"policy_kwargs": {}, **kwargs}
+    model = make(policy, env if isinstance(env, str) else env(), **settings)
     runtime = session(model, tmp_path / "policy.onnx")
     observations = drawn(model.observation_space, 1000)
     feed = {"observations": observations}
@@ -124,7 +125,7 @@ def test_what_cannot_be_exported_is_one_clear_error(tmp_path: Path) -> None:
     contrary: Any = acrobot()
     contrary.policy.predict = lambda *_, **__: None
     branching = acrobot(policy_kwargs={"activation_fn": Branching})
-    other: Any = DQN("MlpPolicy", "CartPole-v1", **SMALL)
+    other: Any = DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu")
     for model, said in (
         (branching, "network of RainbowPolicy cannot be exported: .+"),
         (acrobot(Stubborn), "Stubborn chooses actions by a _predict of its own"),

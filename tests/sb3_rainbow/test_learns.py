@@ -2,9 +2,9 @@
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium import spaces
 from sb3_contrib.common.envs import InvalidActionEnvDiscrete
 from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
 from stable_baselines3 import HerReplayBuffer
@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_rainbow import Rainbow
 
-IDENTITY: dict[str, Any] = {
+SETTINGS: dict[str, Any] = {
     "learning_rate": 3e-3,
     "learning_starts": 100,
     "gamma": 0.5,
@@ -42,13 +42,16 @@ IDENTITY: dict[str, Any] = {
     ],
     ids=str,
 )
-def test_identity(switches: dict[str, Any]) -> None:
-    env = DummyVecEnv([lambda: IdentityEnv(4)])
-    model = Rainbow("MlpPolicy", env, **switches, **IDENTITY)
-    model.learn(1200)
-    mean, _ = evaluate_policy(model, env, n_eval_episodes=10, warn=False)
-    # 100 steps an episode, a reward for every right answer
-    assert np.mean(mean) > 95
+def test_values_are_those_of_the_bellman_equation(switches: dict[str, Any]) -> None:
+    """Of a walk to the right, with reward 1 at its end and holes below, in each reduction."""
+    lake = gym.make("FrozenLake-v1", desc=["SFFG", "HHHH"], is_slippery=False)
+    own = {"v_min": -0.5, "v_max": 1.5, "n_steps": 1, "gamma": 0.8, "exploration_final_eps": 0.3}
+    model = Rainbow("MlpPolicy", lake, **{**SETTINGS, **own, **switches}).learn(1500)
+    obs, _ = model.policy.obs_to_tensor(np.arange(3))
+    best = np.array([0.64, 0.8, 1.0])  # gamma to the power of the steps that follow
+    left, hole, edge = 0.8 * best[[0, 0, 1]], np.zeros(3), 0.8 * best
+    expected = np.stack([left, hole, best, edge], axis=1)
+    np.testing.assert_allclose(model.q_net(obs).detach(), expected, atol=0.06)
 
 
 def test_the_bare_line_passes_sb3s_own_threshold_on_its_bandit() -> None:
@@ -79,37 +82,8 @@ def test_identity_with_masks_and_several_envs() -> None:
     for i, single in enumerate(env.envs):  # its states come from its own space, seeded by nobody
         single.action_space.seed(i)
     # enough random answers that each state has met its own: noise fades before it tries them all
-    settings = {**IDENTITY, "gradient_steps": 2, "learning_starts": 600}
+    settings = {**SETTINGS, "gradient_steps": 2, "learning_starts": 600}
     model = Rainbow("MlpPolicy", env, **settings)
     model.learn(3000)
     mean, _ = evaluate_masked(model, env, n_eval_episodes=8, warn=False)  # type: ignore[arg-type]
     assert np.mean(mean) > 90
-
-
-def test_values_of_a_chain_are_those_of_the_bellman_equation() -> None:
-    """A walk of three steps with reward 1 at its end: Q = gamma^2, gamma, 1 from its start."""
-    import gymnasium as gym
-
-    class Chain(gym.Env):
-        observation_space = spaces.Discrete(3)
-        action_space = spaces.Discrete(2)
-
-        def reset(self, **kwargs: Any) -> Any:
-            self.place = 0
-            return self.place, {}
-
-        def step(self, action: int) -> Any:
-            # Action 0 goes on, action 1 ends the episode without reward.
-            if action == 1:
-                return self.place, 0.0, True, False, {}
-            self.place += 1
-            ended = self.place == 3
-            return min(self.place, 2), float(ended), ended, False, {}
-
-    settings = {**IDENTITY, "v_min": -0.5, "v_max": 1.5, "n_steps": 1, "gamma": 0.8, "noisy": False}
-    model = Rainbow("MlpPolicy", Chain(), **{**settings, "exploration_final_eps": 0.3})
-    model.learn(2500)
-    obs, _ = model.policy.obs_to_tensor(np.arange(3))
-    q_values = model.q_net(obs).detach().numpy()
-    np.testing.assert_allclose(q_values[:, 0], [0.64, 0.8, 1.0], atol=0.06)
-    np.testing.assert_allclose(q_values[:, 1], 0.0, atol=0.06)

@@ -1,6 +1,8 @@
 """Rainbow runs in every combination that SB3's users expect of an off-policy algorithm."""
 
 import inspect
+import json
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -8,41 +10,29 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from gymnasium.wrappers import DiscretizeAction
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.envs import FakeImageEnv, SimpleMultiObsEnv
-from stable_baselines3.common.logger import KVWriter, Logger
+from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
-from torch import nn
 
 from sb3_rainbow import HESSEL, NoisyLinear, PrioritizedReplayBuffer, Rainbow
 from tests.sb3_rainbow import small
-from tests.sb3_rainbow.small import Toy, extracting
+from tests.sb3_rainbow.small import Toy
 
 
 def make(env: Any = "CartPole-v1", policy: str = "MlpPolicy", **settings: Any) -> Rainbow:
     return small.make(policy, env, **{"gradient_steps": 1, **settings})
 
 
-class Recorder(KVWriter):
-    """Keeps every value that was ever logged."""
-
-    def __init__(self) -> None:
-        self.values: dict[str, list[Any]] = {}
-
-    def write(self, key_values: Any, key_excluded: Any, step: int = 0) -> None:
-        for key, value in key_values.items():
-            self.values.setdefault(key, []).append(value)
-
-    def close(self) -> None:
-        pass
-
-
-def record(model: Rainbow, n_steps: int, **kwargs: Any) -> dict[str, list[Any]]:
-    recorder = Recorder()
-    model.set_logger(Logger(None, [recorder]))
-    model.learn(n_steps, log_interval=1, **kwargs)
-    return recorder.values
+def record(model: Rainbow, n_steps: int, folder: Path) -> dict[str, list[Any]]:
+    """Every value that a training logs."""
+    model.set_logger(configure(str(folder), ["json"]))
+    model.learn(n_steps, log_interval=1)
+    model.logger.close()
+    rows = [json.loads(row) for row in (folder / "progress.json").read_text().splitlines()]
+    return {name: [row[name] for row in rows if name in row] for name in set().union(*rows)}
 
 
 def test_returns_beyond_the_support_are_told_once() -> None:
@@ -85,21 +75,9 @@ def test_every_kind_of_observation(env: Any, policy: str) -> None:
     assert vec_env.action_space.contains(action[0])
 
 
-def test_custom_extractor_optimizer_and_activation() -> None:
-    kwargs = {
-        **extracting(lambda: nn.Linear(4, 7), 7),
-        "optimizer_class": th.optim.RMSprop,
-        "optimizer_kwargs": {"alpha": 0.9},
-        "activation_fn": nn.Tanh,
-        "net_arch": [12, 10],
-        "noisy_layers": "all",
-    }
-    model = make(policy_kwargs=kwargs).learn(100)
-    assert model.q_net.layers[0].in_features == 7
-
-
 def test_vec_normalize() -> None:
-    env = VecNormalize(make_vec_env("Pendulum-v1", n_envs=2, wrapper_class=Discretize))
+    three: dict[str, Any] = {"wrapper_class": DiscretizeAction, "wrapper_kwargs": {"bins": 3}}
+    env = VecNormalize(make_vec_env("Pendulum-v1", n_envs=2, **three))
     buffer = make(env).learn(450).replay_buffer
     assert isinstance(buffer, PrioritizedReplayBuffer)
     # Stored as the env gave them, normalized with today's statistics when drawn
@@ -118,19 +96,8 @@ def test_vec_normalize() -> None:
     np.testing.assert_allclose(terminal[:, 0] ** 2 + terminal[:, 1] ** 2, 1.0, rtol=1e-3)
 
 
-class Discretize(gym.ActionWrapper):
-    """Three torques."""
-
-    def __init__(self, env: gym.Env) -> None:
-        super().__init__(env)
-        self.action_space = spaces.Discrete(3)
-
-    def action(self, action: int) -> np.ndarray:
-        return np.array([2.0 * action - 2.0], np.float32)
-
-
-def test_what_is_logged() -> None:
-    logged = record(make(learning_rate=lambda p: 1e-3 * p, distributional=True), 300)
+def test_what_is_logged(tmp_path: Path) -> None:
+    logged = record(make(learning_rate=lambda p: 1e-3 * p, distributional=True), 300, tmp_path)
     for group, names in {
         "rollout": "ep_rew_mean ep_len_mean exploration_rate",
         "time": "fps total_timesteps",
@@ -164,8 +131,10 @@ def test_beta_runs_linearly_from_start_to_end() -> None:
 
 
 @pytest.mark.parametrize("noisy", [True, False])
-def test_epsilon_follows_sb3s_schedule_beside_the_noise_or_alone(noisy: bool) -> None:
-    logged = record(make(noisy=noisy), 300)
+def test_epsilon_follows_sb3s_schedule_beside_the_noise_or_alone(
+    tmp_path: Path, noisy: bool
+) -> None:
+    logged = record(make(noisy=noisy), 300, tmp_path)
     rates = logged["rollout/exploration_rate"]
     assert rates[0] > rates[-1] == 0.05
     assert ("train/noise_magnitude" in logged) == noisy
@@ -175,7 +144,7 @@ def test_epsilon_follows_sb3s_schedule_beside_the_noise_or_alone(noisy: bool) ->
     assert 120 < actions.sum() < 280
     assert len(set(model.predict(obs, deterministic=True)[0])) == 1
     off = make(noisy=noisy, exploration_initial_eps=0.0, exploration_final_eps=0.0)
-    assert set(record(off, 300)["rollout/exploration_rate"]) == {0.0}
+    assert set(record(off, 300, tmp_path)["rollout/exploration_rate"]) == {0.0}
 
 
 def test_hessel_et_als_settings_are_those_of_their_table() -> None:
@@ -241,13 +210,9 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"n_steps": 0}, "n_steps must be an integer, at least 1, got 0"),
         ({"n_steps": 2.5}, "n_steps must be an integer, at least 1, got 2.5"),
         ({"max_grad_norm": -1.0}, "max_grad_norm must be positive, or None, got -1.0"),
-        ({"batch_size": 0}, "batch_size must be an integer, at least 1, got 0"),
         ({"batch_size": 8.0}, "batch_size must be an integer, at least 1, got 8.0"),
-        ({"n_atoms": 20.5}, "n_atoms must be a whole number, at least 1, got 20.5"),
-        ({"tau": 1.5}, "tau must lie in .0, 1., got 1.5"),
         ({"tau": "5e-3"}, "tau must lie in .0, 1., got '5e-3'"),  # YAML's, without a dot
         ({"target_update_interval": 0}, "target_update_interval must be at least 1"),
         ({"sigma0": -0.1}, "sigma0 must be finite and not negative, got -0.1"),
@@ -258,7 +223,6 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"exploration_fraction": 10}, "exploration_fraction must lie in .0, 1., got 10"),
         ({"replay_buffer_kwargs": {"beta": 0.9}}, "Pass beta_start and beta_end"),
         ({"beta_end": 1.5}, "beta_end must lie in .0, 1., got 1.5"),
-        ({"v_min": 5.0, "v_max": 5.0}, "v_min must be below v_max"),
         ({"v_min": 0.0}, "v_min without v_max: pass both"),
         ({"v_max": 9.0, "distributional": True}, "v_max without v_min: pass both"),
         ({"buffer_size": 3}, "buffer_size=3 is too small"),
@@ -289,14 +253,10 @@ def test_bad_environments() -> None:
     with pytest.raises(ValueError, match="MultiInputPolicy"):
         Rainbow("MlpPolicy", SimpleMultiObsEnv())
 
-    class FromFive(gym.ActionWrapper):
-        action_space = spaces.Discrete(2, start=5)  # type: ignore[override]
-
-        def action(self, action: int) -> int:
-            return action - 5
-
+    from_five = Toy(spaces.Box(0, 1, (1,)))
+    from_five.action_space = spaces.Discrete(2, start=5)
     with pytest.raises(ValueError, match="start at 0, got start=5"):
-        Rainbow("MlpPolicy", FromFive(gym.make("CartPole-v1")))
+        Rainbow("MlpPolicy", from_five)
 
 
 def test_predict_takes_a_tuple_of_numbers_and_names_what_reset_returns() -> None:

@@ -2,13 +2,12 @@
 
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
 
-from sb3_rainbow import Rainbow
 from sb3_rainbow.learner.learner import flush_denormals
+from tests.sb3_rainbow.small import make
 
 needs_the_mode = pytest.mark.skipif(
     not th.set_flush_denormal(False), reason="the processor has no such mode"
@@ -43,7 +42,7 @@ def test_only_inside_even_after_an_error_and_a_users_own_setting_stays() -> None
 @needs_the_mode
 def test_updates_flush(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[bool] = []
-    model = Rainbow("MlpPolicy", gym.make("CartPole-v1"), learning_starts=8, batch_size=4, seed=0)
+    model = make()
     update = model._learner.update
 
     def spy(*args: Any, **kwargs: Any) -> Any:
@@ -51,6 +50,6 @@ def test_updates_flush(monkeypatch: pytest.MonkeyPatch) -> None:
         return update(*args, **kwargs)
 
     monkeypatch.setattr(model._learner, "update", spy)
-    model.learn(24)
+    model.learn(28)
     assert set(seen) == {True}
     assert not flushed()

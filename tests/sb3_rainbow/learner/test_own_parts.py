@@ -76,14 +76,6 @@ class Built(MlpPolicy):
         self.optimizer = th.optim.Adam(self.q_net.parameters(), lr=lr_schedule(1))
 
 
-class Signed(MlpPolicy):
-    def predict(  # type: ignore[override]
-        self, observation: Any, state: Any = None, episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> Any:  # fmt: skip
-        return super().predict(observation, state, episode_start, deterministic)
-
-
 def compiled(model: Rainbow) -> None:
     model.policy.q_net = th.compile(model.policy.q_net, backend="eager")  # type: ignore[assignment]
     model._create_aliases()
@@ -106,13 +98,12 @@ def flattened(model: Rainbow) -> None:
     [
         ("MlpPolicy", extracting(lambda: th.jit.script(nn.Sequential(nn.Flatten())), 4), None),
         (Built, {}, None),
-        (Signed, {}, None),
         ("MlpPolicy", {"net_arch": [64] * 3}, tied),
         ("MlpPolicy", {}, compiled),
         ("MlpPolicy", {}, flattened),
         ("MlpPolicy", {}, lambda model: model.policy.share_memory()),
     ],
-    ids=["scripted", "built", "signed", "tied", "compiled", "flattened", "shared"],
+    ids=["scripted", "built", "tied", "compiled", "flattened", "shared"],
 )
 def test_parts_of_all_kinds_learn_as_torch_does(policy: Any, kwargs: Any, change: Any) -> None:
     vectors = []

@@ -224,6 +224,7 @@ def test_a_dict_without_streams_is_a_list(net_arch: dict[str, list[int]]) -> Non
         ({"v_min": 1.0, "v_max": 1.0}, "v_min must be below v_max, both finite, got 1.0 and 1.0"),
         ({"v_min": 2.0, "v_max": 1.0}, "v_min must be below v_max"),
         ({"v_max": np.inf}, "v_min must be below v_max"),
+        ({"n_atoms": 20.5}, "n_atoms must be a whole number, at least 2, got 20.5"),
         ({"n_atoms": 1}, "n_atoms must be a whole number, at least 2, got 1"),
         ({"noisy_layers": "first"}, "noisy_layers must be one of .* got 'first'"),
         ({"net_arch": {"pi": [4], "shared": [4]}}, r"shared=\[.*streams=\[.*got {'pi'"),

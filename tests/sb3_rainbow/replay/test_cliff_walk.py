@@ -6,13 +6,12 @@ memory holds every transition that the ``2 ** states`` sequences of actions meet
 and the learner only updates.
 """
 
-import itertools
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import torch as th
 from gymnasium import spaces
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import configure
 
 from sb3_rainbow import Rainbow
@@ -27,23 +26,21 @@ RAINBOW: dict[str, Any] = {
 }
 
 
-def transitions(states: int, seed: int) -> Iterator[tuple[int, int, int, float, bool]]:
-    """State, action, next state, reward and end of every step of every sequence."""
-    sequences = np.array(list(itertools.product((0, 1), repeat=states)))
-    for actions in np.random.default_rng((1, seed)).permutation(sequences):
-        for state, action in enumerate(actions.tolist()):
-            right, last = action == state % 2, state == states - 1
-            ended = last or not right
-            yield state, action, min(state + right, states - 1), float(right and last), ended
-            if ended:
-                break
+def fill(buffer: ReplayBuffer, states: int, seed: int) -> None:
+    """Every step of every sequence: half of those that come to a state go on from there."""
+    places = np.repeat(np.arange(states), 2 ** np.arange(states, 0, -1))
+    goes_on = np.arange(places.size) % 2 == 0
+    for i in np.random.default_rng((1, seed)).permutation(places.size)[:, None]:
+        state, right = places[i], goes_on[i]
+        last = state == states - 1
+        action, following = np.where(right, state % 2, 1 - state % 2), state + (right & ~last)
+        buffer.add(state, following, action, 1.0 * (right & last), last | ~right, [{}])
 
 
 def optimal_values(states: int) -> np.ndarray:
     """``gamma ** (steps left after it)`` of the right action, 0 of the wrong one."""
-    values, gamma = np.zeros((states, 2)), 1.0 - 1.0 / states
-    for state in range(states):
-        values[state, state % 2] = gamma ** (states - 1 - state)
+    values, place = np.zeros((states, 2)), np.arange(states)
+    values[place, place % 2] = (1.0 - 1.0 / states) ** place[::-1]
     return values
 
 
@@ -62,9 +59,7 @@ def updates_needed(states: int, limit: int, seed: int, prioritized: bool) -> int
     )
     model.set_logger(configure(None, []))
     assert model.replay_buffer is not None
-    for transition in transitions(states, seed):
-        state, action, following, reward, ended = (np.array([value]) for value in transition)
-        model.replay_buffer.add(state, following, action, reward, ended, [{}])
+    fill(model.replay_buffer, states, seed)
     truth = optimal_values(states)
     observations, _ = model.policy.obs_to_tensor(np.arange(states))
     for updates in range(CHECK_EVERY, limit, CHECK_EVERY):
