@@ -281,26 +281,13 @@ def test_it_serves_sb3s_buffer_normalization_and_lists_of_callbacks() -> None:
     np.testing.assert_array_equal(buffer.next_observations[stored][goes_on], after[goes_on])
 
 
-class Switched(Toy):
-    """One of two actions is allowed; a callback says which."""
-
-    allowed = 0
-
-    def step(self, action: int) -> Any:
-        assert action == self.allowed
-        return super().step(action)
-
-    def action_masks(self) -> np.ndarray:
-        return np.arange(2) == self.allowed
-
-
 def test_masks_follow_what_a_callback_does_between_rollouts() -> None:
     class Switch(BaseCallback):
         def _on_rollout_start(self) -> None:
             (env,) = self.training_env.envs  # type: ignore[attr-defined]
-            env.unwrapped.allowed = 1 - env.unwrapped.allowed
+            env.unwrapped.episode += 1
 
         def _on_step(self) -> bool:
             return True
 
-    make(env=Switched(spaces.Box(0.0, 1.0, (1,)))).learn(40, Switch())
+    make(env=ClockEnv()).learn(40, Switch())
