@@ -187,16 +187,13 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self.rewards[pos] = rewards
         self._store_masks(pos, next_action_masks)
 
-        ended = np.asarray(done, dtype=bool)
-        self.ends[pos] = RUNNING
-        if ended.any():
-            self.ends[pos, ended] = TERMINATED
-            for env in np.flatnonzero(ended).tolist():
-                if self.handle_timeout_termination and infos[env].get("TimeLimit.truncated", False):
+        self.ends[pos] = np.where(done, TERMINATED, RUNNING)
+        if self.handle_timeout_termination:
+            for env in np.flatnonzero(done).tolist():
+                if infos[env].get("TimeLimit.truncated", False):
                     self.ends[pos, env] = TRUNCATED
-                self._store.keep_newest(pos, env)
         self._pending += 1
-        self._complete(ended, pos)
+        self._complete(self.ends[pos] != RUNNING, pos)
 
         self.pos += 1
         if self.pos == self.buffer_size:
@@ -212,27 +209,23 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             return
         newest = (self.pos - 1) % self.buffer_size
         which = which & (self.ends[newest] == RUNNING)
-        for env in np.flatnonzero(which).tolist():
-            self.ends[newest, env] = TRUNCATED
-            self._store.keep_newest(newest, env)
+        self.ends[newest, which] = TRUNCATED
         self._complete(which, newest)
 
     def _store_masks(self, pos: int, masks: NDArray[np.bool_] | None) -> None:
-        stored = self.next_action_masks
-        if masks is None:
-            if stored is not None:
-                stored[pos] = True
-            return
-        if stored is None:
+        if masks is not None and self.next_action_masks is None:
             n_actions = int(cast(spaces.Discrete, self.action_space).n)
             # zeros take no memory before they are written to, and every row that is drawn was
             stored = np.zeros((self.buffer_size, self.n_envs, n_actions), dtype=np.bool_)
             stored[: self.size()] = True
             self.next_action_masks = stored
             warn_of_memory(self.nbytes)
-        stored[pos] = masks
+        if self.next_action_masks is not None:
+            self.next_action_masks[pos] = True if masks is None else masks
 
     def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
+        for env in np.flatnonzero(ended).tolist():
+            self._store.keep_newest(newest, env)
         leaves = np.empty(int(self._pending.sum()), dtype=np.int64)
         count = kernels.complete_windows(
             self._pending, ended, newest, self.buffer_size, self.n_steps, leaves

@@ -31,14 +31,11 @@ class ObservationStore:
     ) -> None:
         self.n_rows = n_rows
         self.n_envs = n_envs
-        self._layout: dict[str, tuple[tuple[int, ...], np.dtype]] = {}
+        parts = {_PLAIN: observation_space}
         if isinstance(observation_space, spaces.Dict):
-            assert isinstance(obs_shape, dict)
-            for key, part in observation_space.spaces.items():
-                self._layout[key] = obs_shape[key], np.dtype(part.dtype)
-        else:
-            assert isinstance(obs_shape, tuple)
-            self._layout[_PLAIN] = obs_shape, np.dtype(observation_space.dtype)
+            parts = observation_space.spaces
+        shapes = obs_shape if isinstance(obs_shape, dict) else {_PLAIN: obs_shape}
+        self._layout = {key: (shapes[key], np.dtype(part.dtype)) for key, part in parts.items()}
         self._rows = self._zeros((n_rows, n_envs))
         # The first n_envs slots hold the newest observations; the others, terminal observations.
         self._boundary = self._zeros((2 * n_envs,))
@@ -95,8 +92,7 @@ class ObservationStore:
         for key, values in current.items():
             heads = self._boundary[key][: self.n_envs]
             differs = _as_bytes(values, self.n_envs) != _as_bytes(heads, self.n_envs)
-            if differs.any():
-                result |= differs.any(axis=1)
+            result |= differs.any(axis=1)
         return result
 
     def write(self, row: int, current: Rows, following: Rows) -> None:
