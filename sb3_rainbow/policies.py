@@ -19,9 +19,8 @@ from torch import nn
 
 from sb3_rainbow.masking.conventions import as_action_masks
 from sb3_rainbow.network.convolutions import NatureConvolutions
-from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from sb3_rainbow.network.shared_memory import AsVector
-from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, ObsArray
+from sb3_rainbow.network.rainbow_network import AsVector, RainbowNetwork
+from sb3_rainbow.type_aliases import NetArch, NoisyLayers, ObsArray
 
 # Optimizers that have one kernel for all parameters: a quarter of the time of one per parameter
 _WITH_FUSED_KERNEL = (th.optim.Adam, th.optim.AdamW)
@@ -32,7 +31,8 @@ class RainbowPolicy(AsVector, BasePolicy):
     """Policy with the online and the target network of Rainbow.
 
     The arguments after ``lr_schedule`` are those of SB3's ``DQNPolicy``, then ``noisy_layers``,
-    then the ones that :class:`~sb3_rainbow.Rainbow` hands over from its own constructor.
+    then the ones that :class:`~sb3_rainbow.Rainbow` hands over from its own constructor to
+    :class:`~sb3_rainbow.network.rainbow_network.RainbowNetwork`.
 
     Args:
         lr_schedule: ``lr_schedule(1)`` is the initial rate.
@@ -42,7 +42,8 @@ class RainbowPolicy(AsVector, BasePolicy):
         normalize_images: whether to divide images by 255.
         optimizer_kwargs: the optimizer's arguments besides the learning rate.
         noisy_layers: ``"last_two"``, ``"head"`` or ``"all"``.
-        dueling: see ``Rainbow``, as for the parameters that follow.
+        network: ``dueling``, ``noisy``, ``sigma0``, ``distributional``, ``n_atoms``, ``v_min`` and
+            ``v_max``, see ``Rainbow``.
 
     Raises:
         ValueError: without ``distributional``, which Rainbow hands over and no other algorithm.
@@ -66,15 +67,9 @@ class RainbowPolicy(AsVector, BasePolicy):
         optimizer_class: type[th.optim.Optimizer] = th.optim.Adam,
         optimizer_kwargs: dict[str, Any] | None = None,
         noisy_layers: NoisyLayers = "last_two",
-        dueling: bool = True,
-        noisy: bool = True,
-        sigma0: float = 0.5,
-        distributional: Distributional | None = None,
-        n_atoms: int = 51,
-        v_min: float = -100.0,
-        v_max: float = 100.0,
+        **network: Any,
     ) -> None:
-        if distributional is None:
+        if network.get("distributional") is None:
             raise ValueError(
                 f"{type(self).__name__} needs distributional, which Rainbow hands to it: a file of "
                 "Rainbow is loaded by Rainbow.load, and no other algorithm can use its policies"
@@ -104,14 +99,8 @@ class RainbowPolicy(AsVector, BasePolicy):
             "net_arch": net_arch,
             "activation_fn": activation_fn,
             "normalize_images": normalize_images,
-            "dueling": dueling,
-            "noisy": noisy,
             "noisy_layers": noisy_layers,
-            "sigma0": sigma0,
-            "distributional": distributional,
-            "n_atoms": n_atoms,
-            "v_min": v_min,
-            "v_max": v_max,
+            **network,
         }
         self.net_arch = net_arch
         self.activation_fn = activation_fn
@@ -140,23 +129,18 @@ class RainbowPolicy(AsVector, BasePolicy):
 
         Parameters from elsewhere stay; parameters of the network that the user left out stay out.
         """
-        parameters = list(self.q_net.parameters())
-        present = {id(p) for p in parameters}
-        gone = {id(p) for p in self._parameters_then} - present
-        self._parameters_then = parameters
+        then, self._parameters_then = self._parameters_then, list(self.q_net.parameters())
         groups = self.optimizer.param_groups
-        held = {id(p) for group in groups for p in group["params"]}
+        gone = set(then) - set(self._parameters_then)
+        held = {p for group in groups for p in group["params"]}
+        known = held.union(then)
+        new = [p for p in self._parameters_then if p not in known]
         for group in groups:
-            stale = [p for p in group["params"] if id(p) in gone]
-            if not stale:
-                continue
-            mine = {id(p) for p in group["params"]}
-            others = [p for p in group["params"] if id(p) not in present | gone]
-            own = [p for p in parameters if id(p) in mine or id(p) not in held]
-            group["params"] = [*own, *others]
-            held |= present
-            for p in stale:
-                self.optimizer.state.pop(p, None)
+            if not gone.isdisjoint(group["params"]):
+                group["params"] = [*(p for p in group["params"] if p not in gone), *new]
+                new = []
+        for p in gone & held:
+            self.optimizer.state.pop(p, None)
 
     @property
     def device(self) -> th.device:
@@ -167,10 +151,6 @@ class RainbowPolicy(AsVector, BasePolicy):
         """A network with its own features extractor."""
         net_args = self._update_features_extractor(self.net_args, features_extractor=None)
         return RainbowNetwork(**net_args).to(self.device)
-
-    def reset_noise(self, n_envs: int = 1) -> None:
-        """Draw new noise for the online network, for each of ``n_envs`` environments its own."""
-        self.q_net.reset_noise(n_envs)
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
         """Greedy actions, shape ``(B,)``."""
@@ -215,7 +195,7 @@ class RainbowPolicy(AsVector, BasePolicy):
             masked["action_masks"] = th.as_tensor(checked, device=self.device)
         with th.no_grad():
             if not deterministic:
-                self.reset_noise(n_obs)
+                self.q_net.reset_noise(n_obs)
             actions = self._predict(obs_tensor, deterministic=deterministic, **masked)
         chosen = actions.cpu().numpy()
         return (chosen if vectorized else chosen.squeeze(axis=0)), state
@@ -226,16 +206,14 @@ class RainbowPolicy(AsVector, BasePolicy):
         self.training = mode
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        data = super()._get_constructor_parameters()
-        data.update(
-            self.net_args,
-            lr_schedule=self._dummy_schedule,
-            optimizer_class=self.optimizer_class,
-            optimizer_kwargs=self.optimizer_kwargs,
-            features_extractor_class=self.features_extractor_class,
-            features_extractor_kwargs=self.features_extractor_kwargs,
-        )
-        return data
+        return {
+            **self.net_args,
+            "lr_schedule": self._dummy_schedule,
+            "optimizer_class": self.optimizer_class,
+            "optimizer_kwargs": self.optimizer_kwargs,
+            "features_extractor_class": self.features_extractor_class,
+            "features_extractor_kwargs": self.features_extractor_kwargs,
+        }
 
 
 class CnnPolicy(RainbowPolicy):

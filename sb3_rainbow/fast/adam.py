@@ -1,5 +1,6 @@
 """torch's Adam over one vector, by a kernel on the optimizer's own state."""
 
+from collections.abc import Sequence
 from itertools import chain
 from operator import attrgetter, is_, itemgetter
 from typing import Any
@@ -8,7 +9,6 @@ import torch as th
 from torch.optim import optimizer as torch_optimizer
 
 from sb3_rainbow.fast import learning_kernels as kernels
-from sb3_rainbow.network.shared_memory import share
 
 # Options of torch's Adam that the kernel does not know
 _UNKNOWN = ("amsgrad", "maximize", "decoupled_weight_decay", "differentiable")
@@ -127,3 +127,21 @@ def has_hooks(optimizer: th.optim.Optimizer) -> bool:
         or torch_optimizer._global_optimizer_pre_hooks
         or torch_optimizer._global_optimizer_post_hooks
     )
+
+
+def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
+    """Views of a vector, one after another, with the shapes and memory formats of dense tensors."""
+    sizes = [t.numel() for t in tensors]
+    return [
+        part.as_strided(t.shape, t.stride(), part.storage_offset())
+        for part, t in zip(vector.split(sizes), tensors, strict=True)
+    ]
+
+
+@th.no_grad()
+def share(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor] | None = None) -> th.Tensor:
+    """Make float32 tensors parts of a new vector on the CPU, laid out as those in ``like``."""
+    vector = th.empty(sum(t.numel() for t in tensors), dtype=th.float32)
+    for tensor, part in zip(tensors, parts(vector, like or tensors), strict=True):
+        tensor.data = part.copy_(tensor)
+    return vector

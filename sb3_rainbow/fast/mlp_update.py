@@ -15,10 +15,9 @@ from torch import nn
 
 from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
-from sb3_rainbow.fast.adam import GRAD, AdamOnVector
+from sb3_rainbow.fast.adam import GRAD, AdamOnVector, parts, share
 from sb3_rainbow.network.noisy_linear import NoisyLinear
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from sb3_rainbow.network.shared_memory import parts, share
 from sb3_rainbow.type_aliases import Batch
 
 # Below any probability that float32 holds as a normal number

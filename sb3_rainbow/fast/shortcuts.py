@@ -26,7 +26,7 @@ _GLOBAL_HOOKS = tuple(f"_global{name}" for name in _HOOKS)
 _TRAINS = attrgetter("requires_grad")
 _VALUES: Any = methodcaller("values")  # a scripted module's are in no dict
 _HOOKS_OF_PARAMETER = attrgetter("_backward_hooks", "_post_accumulate_grad_hooks")
-_ACTING = ("predict", "_predict", "forward", "obs_to_tensor", "reset_noise", "set_training_mode")
+_ACTING = ("predict", "_predict", "forward", "obs_to_tensor", "set_training_mode")
 
 
 def kernels_apply(

@@ -1,6 +1,7 @@
 """Rainbow's Q-network."""
 
 from contextlib import nullcontext
+from inspect import signature
 from itertools import pairwise
 from operator import index
 from typing import Any, Literal, get_args
@@ -8,7 +9,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.policies import BasePolicy
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BaseModel, BasePolicy
 from stable_baselines3.common.preprocessing import preprocess_obs
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
@@ -18,11 +20,41 @@ from torch.nn import functional as F
 from sb3_rainbow.network.convolutions import gains_by_channels_last
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
-from sb3_rainbow.network.shared_memory import AsVector
 from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers
 
 # Where the layers are that a network calls by itself
 _LAYERS = ("layers", "value_layers", "advantage_layers")
+
+
+class AsVector(BaseModel):
+    """A model of SB3's whose weights may have any memory format, and be parts of one vector."""
+
+    def parameters_to_vector(self) -> NDArray[np.float32]:
+        """All parameters, one after another."""
+        flat = [p.detach().reshape(-1) for p in self.parameters()]
+        return th.cat(flat).cpu().numpy()
+
+    @th.no_grad()
+    def separate(self) -> None:
+        """Give each weight, noise and moment a memory of its own: pickle stores memory whole."""
+        optimizer = getattr(self, "optimizer", None)
+        states = getattr(optimizer, "state", {}).values()  # a wrapper may have none
+        moments = [v for state in states for v in state.values() if isinstance(v, th.Tensor)]
+        noise = [e for m in self.modules() if isinstance(m, NoisyLinear) for e in m.buffers()]
+        for tensor in [*moments, *self.parameters(), *noise]:
+            if tensor.device.type == "cpu" and tensor.is_shared():
+                continue  # with other processes, which look for it where it is
+            if tensor.untyped_storage().nbytes() > tensor.numel() * tensor.element_size():
+                tensor.data = tensor.detach().clone()
+
+    def __getstate__(self) -> dict[str, Any]:
+        self.separate()
+        return self.__dict__.copy()
+
+    def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:  # type: ignore[override]
+        """As torch's, of tensors that share no memory."""
+        self.separate()
+        return super().state_dict(*args, **kwargs)
 
 
 class RainbowNetwork(AsVector, BasePolicy):
@@ -117,33 +149,27 @@ class RainbowNetwork(AsVector, BasePolicy):
     def _build_layers(self) -> None:
         shared, streams = split_arch(self.net_arch)
         depth = len(shared) + len(streams) + 1
-        n_noisy = {"last_two": 2, "head": 1, "all": depth}[self.noisy_layers] if self.noisy else 0
-        first_noisy = depth - n_noisy
-        n_out = self.n_actions * self.n_atoms
+        sizes, n_out = [self.features_dim, *shared], self.n_actions * self.n_atoms
         if streams:
-            self.layers = self._make_layers([self.features_dim, *shared], 0, first_noisy, False)
-            sizes = [[self.features_dim, *shared][-1], *streams]
+            self.layers = self._make_layers(sizes, 0, depth)
+            sizes = [sizes[-1], *streams]
             if self.dueling:
-                self.value_layers = self._make_layers(
-                    [*sizes, self.n_atoms], len(shared), first_noisy
-                )
-            self.advantage_layers = self._make_layers([*sizes, n_out], len(shared), first_noisy)
+                self.value_layers = self._make_layers([*sizes, self.n_atoms], len(shared), depth)
+            self.advantage_layers = self._make_layers([*sizes, n_out], len(shared), depth)
         else:
             n_out += self.n_atoms if self.dueling else 0
-            self.layers = self._make_layers([self.features_dim, *shared, n_out], 0, first_noisy)
+            self.layers = self._make_layers([*sizes, n_out], 0, depth)
         self.activation = self.activation_fn()
 
-    def _make_layers(
-        self, sizes: list[int], depth: int, first_noisy: int, with_head: bool = True
-    ) -> nn.ModuleList:
-        """Layers between these sizes; the first of them lies ``depth`` layers deep."""
+    def _make_layers(self, sizes: list[int], first: int, depth: int) -> nn.ModuleList:
+        """Layers between these sizes, from the ``first`` on of a network ``depth`` layers deep."""
+        n_noisy = {"last_two": 2, "head": 1, "all": depth}[self.noisy_layers] if self.noisy else 0
         layers: list[nn.Module] = []
-        for i, (n_in, n_out) in enumerate(pairwise(sizes), start=depth):
-            if i < first_noisy:
+        for i, (n_in, n_out) in enumerate(pairwise(sizes), start=first):
+            if i < depth - n_noisy:
                 layers.append(nn.Linear(n_in, n_out))
                 continue
-            is_head = with_head and i == depth + len(sizes) - 2
-            shared = self.n_atoms if is_head and self.head == "quantile" else 1
+            shared = self.n_atoms if i == depth - 1 and self.head == "quantile" else 1
             layers.append(NoisyLinear(n_in, n_out, self.sigma0, shared))
         return nn.ModuleList(layers)
 
@@ -198,10 +224,9 @@ class RainbowNetwork(AsVector, BasePolicy):
             parts = iter(scale_noise_(self.support.new_empty(shape).normal_()).split(sizes, dim=-1))
             for layer in together:
                 layer.set_noise(next(parts), next(parts))
-        own = [layer for layer in self._own_layers() if isinstance(layer, NoisyLinear)]
-        for layer in [*own, *self._layers_called_by_others()]:
-            if layer not in together:
-                layer.reset_noise()
+        for module in self.modules():
+            if isinstance(module, NoisyLinear) and module not in together:
+                module.reset_noise()
 
     def noise_magnitudes(self) -> dict[str, float]:
         """Mean absolute sigma of each noisy layer's weights, by its place among the layers."""
@@ -217,12 +242,9 @@ class RainbowNetwork(AsVector, BasePolicy):
         """
         with nullcontext() if noisy else silenced(self._layers_called_by_others()):
             features = self.extract_features(obs, self.features_extractor)
-            if "advantage_layers" not in self._modules:
-                outputs = self._run(self.layers, features, noisy)
-            else:
-                shared = features
-                if self.layers:
-                    shared = self.activation(self._run(self.layers, features, noisy))
+            outputs = self._run(self.layers, features, noisy)
+            if "advantage_layers" in self._modules:
+                shared = self.activation(outputs) if self.layers else outputs
                 outputs = self._run(self.advantage_layers, shared, noisy)
                 if self.dueling:
                     value = self._run(self.value_layers, shared, noisy)
@@ -280,13 +302,7 @@ class RainbowNetwork(AsVector, BasePolicy):
         return mask_q_values(q_values, action_masks).argmax(dim=1)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        data = super()._get_constructor_parameters()
-        names = (
-            *("net_arch", "activation_fn", "features_dim", "features_extractor", "dueling"),
-            *("noisy", "noisy_layers", "sigma0", "distributional", "n_atoms", "v_min", "v_max"),
-        )
-        data.update({name: getattr(self, name) for name in names})
-        return data
+        return {name: getattr(self, name) for name in signature(RainbowNetwork).parameters}
 
 
 def head_of(distributional: Distributional) -> Literal["scalar", "categorical", "quantile"]:
