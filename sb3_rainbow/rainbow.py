@@ -1,7 +1,7 @@
 """Rainbow on Stable-Baselines3."""
 
 import warnings
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch as th
@@ -22,8 +22,6 @@ from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
 from sb3_rainbow.resume.resumable import ResumableAlgorithm, refuse_checkpoint
 from sb3_rainbow.type_aliases import Distributional, ObsArray, SaveFile, UseMasking
-
-SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 
 # Share of the targets' mass beyond the support from which on a warning is due. Before anything is
 # learned a tenth may lie there
@@ -397,7 +395,7 @@ class Rainbow(ResumableAlgorithm):
                 )
 
     def learn(
-        self: SelfRainbow,
+        self,
         total_timesteps: int,
         callback: MaybeCallback = None,
         log_interval: int = 4,
@@ -406,7 +404,7 @@ class Rainbow(ResumableAlgorithm):
         progress_bar: bool = False,
         *,
         use_masking: UseMasking | None = None,
-    ) -> SelfRainbow:
+    ) -> Self:
         """As SB3's ``learn``; ``use_masking`` overrides the constructor's from here on.
 
         Raises:
@@ -420,7 +418,7 @@ class Rainbow(ResumableAlgorithm):
 
     @classmethod
     def load(
-        cls: type[SelfRainbow],
+        cls,
         path: SaveFile,
         env: GymEnv | None = None,
         device: th.device | str = "auto",
@@ -428,7 +426,7 @@ class Rainbow(ResumableAlgorithm):
         print_system_info: bool = False,
         force_reset: bool = True,
         **kwargs: Any,
-    ) -> SelfRainbow:
+    ) -> Self:
         """As SB3's ``load``.
 
         A new ``target_update_interval`` brings its own default ``tau``, unless one was chosen when

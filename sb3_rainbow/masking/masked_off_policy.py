@@ -40,7 +40,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         assert self.env is not None
         if isinstance(self.replay_buffer, PrioritizedReplayBuffer) and before is not self._last_obs:
             self.replay_buffer.truncate()
-        supported = self.use_masking is not False and is_masking_supported(self.env)
+        supported = masks_apply(self, self.env)
         if self.use_masking is True and not supported:
             raise ValueError(
                 "use_masking=True, but the env has no action_masks(): wrap it in sb3-contrib's "
@@ -155,3 +155,9 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         replay_buffer.add(stored_obs, next_obs, buffer_action, stored_reward, dones, infos, *masks)
         self._last_obs = new_obs
         self._last_original_obs = original_obs
+
+
+def masks_apply(model: object, env: VecEnv) -> bool:
+    """Whether a model is to act under the masks of an environment."""
+    masked = isinstance(model, MaskedOffPolicyAlgorithm) and model.use_masking is not False
+    return masked and is_masking_supported(env)

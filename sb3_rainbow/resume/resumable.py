@@ -7,7 +7,7 @@ import pickle
 import warnings
 import zipfile
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any, Self
 
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
@@ -17,8 +17,6 @@ from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.resume import checkpoint
 from sb3_rainbow.settings import SettingsMismatchError
 from sb3_rainbow.type_aliases import SaveFile
-
-SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
 
 # In which a loaded replay buffer must agree with the model
 _BUFFER_SETTINGS = ("observation_space", "action_space", "n_envs", "n_steps", "alpha")
@@ -74,7 +72,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
             self._rng_state = None
 
     @classmethod
-    def load(cls: type[SelfResumable], path: SaveFile, *args: Any, **kwargs: Any) -> SelfResumable:
+    def load(cls, path: SaveFile, *args: Any, **kwargs: Any) -> Self:
         """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators."""
         refuse_checkpoint(path)
         model = super().load(path, *args, **kwargs)
@@ -135,9 +133,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         os.replace(partial, target)
 
     @classmethod
-    def load_checkpoint(
-        cls: type[SelfResumable], path: str | pathlib.Path, env: GymEnv, **kwargs: Any
-    ) -> SelfResumable:
+    def load_checkpoint(cls, path: str | pathlib.Path, env: GymEnv, **kwargs: Any) -> Self:
         """A model that goes on exactly where :meth:`save_checkpoint` left it.
 
         ::

@@ -8,6 +8,7 @@ from importlib import metadata
 import gymnasium as gym
 
 from sb3_rainbow.masking.conventions import ActionMaskError
+from sb3_rainbow.zoo.files import ZooError
 
 _DESCRIPTION = """\
 The scripts of rl-baselines3-zoo, with Rainbow among the algorithms.
@@ -31,7 +32,6 @@ def main() -> None:
     parser.add_argument("arguments", nargs=argparse.REMAINDER)
     given = parser.parse_args()
     try:
-        from sb3_rainbow.zoo.files import ZooError
         from sb3_rainbow.zoo.registration import register_for_playing, register_for_training
     except ModuleNotFoundError as error:
         sys.exit(f"{parser.prog}: {error.name} is missing: pip install 'sb3-rainbow-coop[zoo]'")
@@ -52,8 +52,6 @@ def main() -> None:
 
 def _register_env(arguments: list[str]) -> None:
     """Register the environment that the arguments name."""
-    from sb3_rainbow.zoo.files import ZooError
-
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--env", default="CartPole-v1")
     parser.add_argument("--gym-packages", nargs="+", default=[])

@@ -13,11 +13,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_rainbow.masking.conventions import ActionMaskError
+from sb3_rainbow.masking.masked_off_policy import masks_apply
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.resume.checkpoint import is_checkpoint
 from sb3_rainbow.zoo.files import ALGO, VEC_NORMALIZE, ZooError, is_model_file, loading
 from sb3_rainbow.zoo.model_file import read_model, take_statistics
-from sb3_rainbow.zoo.playing import masks_apply
 
 CHECKPOINT = "checkpoint.zip"
 # A trial's attribute: whether the entry that it varies has a support, of discounted returns
@@ -118,32 +118,27 @@ class RainbowExperimentManager(ExperimentManager):
             return super()._load_pretrained_agent(hyperparams, env)
         path = pathlib.Path(self.trained_agent)
         replay = path.with_name("replay_buffer.pkl")
+        own = {name: getattr(self, name) for name in ("tensorboard_log", "verbose", "device")}
         try:
             if is_model_file(path):
                 given = {k: v for k, v in hyperparams.items() if not k.startswith("policy")}
-                given |= {"seed": self.seed, "verbose": self.verbose, "device": self.device}
                 take_statistics(path.with_name(VEC_NORMALIZE), env)
-                return read_model(path, env=env, tensorboard_log=self.tensorboard_log, **given)
+                return read_model(path, env=env, **{**given, "seed": self.seed, **own})
             with loading(path):
                 if not is_checkpoint(path) and not replay.exists():
                     # Networks to begin with, and nothing to go on from
                     return super()._load_pretrained_agent(hyperparams, env)
-                return self._resume(path, replay, hyperparams, env)
+                # All else is the run's, whatever the hyperparameters' file says by now.
+                asked = hyperparams.keys() & set(self.custom_hyperparams or ()) - {"policy"}
+                given = {name: hyperparams[name] for name in asked}
+                return self._resume(path, replay, env, {**given, **own})
         except ZooError:
             env.close()  # and with it the file of its monitor
             raise
 
     def _resume(
-        self, path: pathlib.Path, replay: pathlib.Path, hyperparams: dict[str, Any], env: VecEnv
+        self, path: pathlib.Path, replay: pathlib.Path, env: VecEnv, given: dict[str, Any]
     ) -> Rainbow:
-        # What the command line asks for; all else is the run's, whatever the file says by now.
-        asked = set(self.custom_hyperparams or ()) - {"policy"}
-        given = {
-            **{name: value for name, value in hyperparams.items() if name in asked},
-            "tensorboard_log": self.tensorboard_log,
-            "verbose": self.verbose,
-            "device": self.device,
-        }
         if is_checkpoint(path):
             print("Going on from a checkpoint, with its replay buffer")
             model = ResumedRainbow.load_checkpoint(path, env, **given)

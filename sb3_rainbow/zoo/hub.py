@@ -13,10 +13,10 @@ from sb3_contrib.common.maskable.evaluation import evaluate_policy
 from stable_baselines3.common.utils import get_system_info
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize, unwrap_vec_normalize
 
+from sb3_rainbow.masking.masked_off_policy import masks_apply
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.zoo.files import ALGO, VEC_NORMALIZE, ZooError, is_model_file, loading
 from sb3_rainbow.zoo.model_file import read_model, read_statistics, write_model, write_statistics
-from sb3_rainbow.zoo.playing import masks_apply
 
 _CARD = """\
 # **Rainbow** playing **{env_id}**
@@ -28,7 +28,7 @@ Rainbow DQN on [Stable-Baselines3](https://github.com/DLR-RM/stable-baselines3),
 
 | environment | episodes | mean return | standard deviation | actions | masks |
 |---|---|---|---|---|---|
-| {env_id} | {episodes} | {mean:.2f} | {std:.2f} | {actions} | {masks} |
+| {env_id} | {n_eval_episodes} | {mean_reward:.2f} | {std_reward:.2f} | {actions} | {masks} |
 
 ## Use
 
@@ -131,9 +131,7 @@ def package(
     text = _CARD.format(
         name=name,
         env_id=env_id,
-        episodes=n_eval_episodes,
-        mean=mean,
-        std=std,
+        **results,
         actions="greedy" if deterministic else "exploring",
         masks="yes" if masked else "none",
         statistics=_STATISTICS.format(name=name) if normalizer is not None else "",

@@ -13,7 +13,7 @@ import pathlib
 import types
 import zipfile
 from collections.abc import Callable
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 import torch as th
@@ -32,12 +32,13 @@ from torch import nn
 
 from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.policies import CnnPolicy, MultiInputPolicy, RainbowPolicy
-from sb3_rainbow.rainbow import Rainbow, SelfRainbow
+from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.settings import NETWORK_ARGUMENTS, head_and_support, support_of
 from sb3_rainbow.zoo.files import SETTINGS, ZooError, loading
 
 Arrays = dict[str, NDArray[Any]]
+SelfRainbow = TypeVar("SelfRainbow", bound=Rainbow)
 
 #: What a file may name, by the setting that takes it.
 CLASSES: dict[str, tuple[type, ...]] = {
@@ -60,7 +61,13 @@ _OF_THE_MACHINE = {
     *("cpu_kernels", "_init_setup_model"),
 }
 _MOST_STEPS, _MOST_ROOM = 1_000, 1_000_000
-_INTEGERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+_Integer = Literal["int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"]
+# Arguments of the spaces that are neither boxes nor made of others, and their types in JSON
+_SPACES: dict[type[spaces.Space[Any]], dict[str, Any]] = {
+    spaces.Discrete: {"n": int, "start": int, "dtype": _Integer},
+    spaces.MultiDiscrete: {"nvec": list[Any], "start": list[Any], "dtype": _Integer},
+    spaces.MultiBinary: {"n": int | list[int]},
+}
 _COUNTERS: dict[str, type] = {
     "num_timesteps": int,
     "_n_updates": int,
@@ -274,7 +281,7 @@ _HINTS = {
 }
 _POLICY_HINTS = _hints_of(
     RainbowPolicy.__init__,
-    {"self", "observation_space", "action_space", "lr_schedule", *NETWORK_ARGUMENTS},
+    {"self", "observation_space", "action_space", "lr_schedule", "network"},
 )
 _NORMALIZER_HINTS = _hints_of(VecNormalize.__init__, {"self", "venv", "training"})
 
@@ -339,47 +346,37 @@ def _from_plain(name: str, value: Any) -> Any:
 
 def _write_space(space: spaces.Space[Any], name: str, arrays: Arrays) -> dict[str, Any]:
     """A space as JSON has it; the bounds of boxes go to the arrays."""
-    kind = type(space)
-    written: dict[str, Any] = {"type": kind.__name__}
-    if kind is spaces.Box:
-        arrays |= {f"{name}.low": space.low, f"{name}.high": space.high}  # type: ignore[attr-defined]
-    elif kind is spaces.Discrete:
-        written |= {"n": int(space.n), "start": int(space.start)}  # type: ignore[attr-defined]
-        written["dtype"] = str(space.dtype)
-    elif kind is spaces.MultiDiscrete:
-        written |= {"nvec": space.nvec.tolist(), "start": space.start.tolist()}  # type: ignore[attr-defined]
-        written["dtype"] = str(space.dtype)
-    elif kind is spaces.MultiBinary:
-        written["n"] = space.n  # type: ignore[attr-defined]
-    elif kind is spaces.Dict:
-        parts = space.spaces.items()  # type: ignore[attr-defined]
-        written["spaces"] = {
-            key: _write_space(part, f"{name}.{key}", arrays) for key, part in parts
-        }
+    written: dict[str, Any] = {"type": type(space).__name__}
+    if type(space) is spaces.Box:
+        arrays |= {f"{name}.low": space.low, f"{name}.high": space.high}
+    elif type(space) is spaces.Dict:
+        parts = space.spaces.items()
+        written["spaces"] = {key: _write_space(p, f"{name}.{key}", arrays) for key, p in parts}
+    elif type(space) in _SPACES:
+        for part in _SPACES[type(space)]:
+            value = getattr(space, part)
+            written[part] = str(value) if part == "dtype" else np.asarray(value).tolist()
     else:
         raise TypeError(space)
     return written
 
 
 def _read_space(written: dict[str, Any], name: str, arrays: Arrays) -> spaces.Space[Any]:
-    dtype = written.get("dtype", "int64")
-    if dtype not in _INTEGERS:
-        raise ValueError(f"{name} cannot have dtype {dtype!r}")
     match written:
         case {"type": "Box"}:
             low, high = arrays.pop(f"{name}.low"), arrays.pop(f"{name}.high")
             return spaces.Box(low.copy(), high.copy(), dtype=low.dtype.type)
-        case {"type": "Discrete", "n": int(n), "start": int(start)}:
-            return spaces.Discrete(n, start=start, dtype=dtype)
-        case {"type": "MultiDiscrete", "nvec": list(nvec), "start": list(start)}:
-            return spaces.MultiDiscrete(nvec, dtype=dtype, start=start)
-        case {"type": "MultiBinary", "n": int(n) | list(n)}:
-            return spaces.MultiBinary(n)
         case {"type": "Dict", "spaces": dict(parts)}:
             # a sequence, whose order stays
             read = {key: _read_space(part, f"{name}.{key}", arrays) for key, part in parts.items()}
             return spaces.Dict(list(read.items()))
-    raise ValueError(f"{name} cannot be {written!r}")
+    named = {kind.__name__: kind for kind in _SPACES}
+    try:
+        kind = named[written["type"]]
+        parts = {part: value for part, value in written.items() if part != "type"}
+        return kind(**_checked(parts, _SPACES[kind]))
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"{name} cannot be {written!r}") from None
 
 
 def _check_shapes(model: Rainbow, shapes: dict[str, tuple[int, ...]]) -> None:

@@ -1,7 +1,9 @@
 """Rainbow in the tables of rl-baselines3-zoo, as its manual shows it for SBX."""
 
+import functools
+import pathlib
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import optuna
 import rl_zoo3.enjoy
@@ -9,17 +11,66 @@ import rl_zoo3.exp_manager
 import rl_zoo3.hyperparams_opt
 import rl_zoo3.train
 import rl_zoo3.utils
+from numpy.typing import NDArray
 from rl_zoo3.hyperparams_opt import convert_offpolicy_params
+from sb3_contrib.common.maskable.utils import get_action_masks
+from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_rainbow.masking.masked_off_policy import masks_apply
 from sb3_rainbow.rainbow import Rainbow
+from sb3_rainbow.type_aliases import ObsArray, SaveFile
 from sb3_rainbow.zoo.experiments import (
     HAS_SUPPORT,
     MaskedEvalCallback,
     MaskedTrialEvalCallback,
     RainbowExperimentManager,
 )
-from sb3_rainbow.zoo.files import ALGO
-from sb3_rainbow.zoo.playing import PlayedRainbow, create_test_env
+from sb3_rainbow.zoo.files import ALGO, is_model_file, loading
+from sb3_rainbow.zoo.model_file import read_model
+
+
+class PlayedRainbow(Rainbow):
+    """A trained model under the masks of the environment that :func:`create_test_env` made last.
+
+    The zoo's ``enjoy`` loads a model without its environment and asks it for actions by the
+    observations alone: masks have no other way to it.
+    """
+
+    played: ClassVar[VecEnv | None] = None
+
+    @classmethod
+    def load(cls, path: SaveFile, *args: Any, **kwargs: Any) -> Self:
+        """As ``Rainbow.load``, with the smallest replay buffer unless one is asked for.
+
+        A packaged file is read without running anything of it.
+
+        Raises:
+            ZooError: if it cannot be loaded.
+        """
+        if isinstance(path, str | pathlib.Path) and is_model_file(path):
+            kwargs.pop("custom_objects", None)  # for what a pickle names
+            return read_model(path, cls, *args, **kwargs)
+        with loading(str(path)):
+            return super().load(path, *args, **{"buffer_size": 1, **kwargs})
+
+    def predict(
+        self, observation: ObsArray, *args: Any, **kwargs: Any
+    ) -> tuple[NDArray, tuple[NDArray, ...] | None]:
+        """As ``Rainbow.predict``; without masks, under those of the environment that is played."""
+        env = self.played
+        if env is not None and masks_apply(self, env):
+            kwargs.setdefault("action_masks", get_action_masks(env))
+        return super().predict(observation, *args, **kwargs)
+
+
+_create_test_env = rl_zoo3.utils.create_test_env
+
+
+@functools.wraps(_create_test_env)
+def create_test_env(*args: Any, **kwargs: Any) -> VecEnv:
+    """The zoo's, remembered for :class:`PlayedRainbow`."""
+    PlayedRainbow.played = _create_test_env(*args, **kwargs)
+    return PlayedRainbow.played
 
 
 def register_for_training() -> None:
@@ -64,30 +115,19 @@ def sample_rainbow_params(
     which it was chosen for. ``n_actions``, ``n_envs`` and ``additional_args`` are for the zoo's
     other samplers.
     """
-    drawn: dict[str, Any] = {}
     if not trial.user_attrs.get(HAS_SUPPORT):
-        drawn["one_minus_gamma"] = trial.suggest_float("one_minus_gamma", 1e-4, 0.03, log=True)
+        trial.suggest_float("one_minus_gamma", 1e-4, 0.03, log=True)
     train_freq = trial.suggest_int("train_freq", 1, 10)
-    noisy = trial.suggest_categorical("noisy", [True, False])
-    if noisy:
-        drawn["sigma0"] = trial.suggest_float("sigma0", 0.02, 1.0, log=True)
+    if trial.suggest_categorical("noisy", [True, False]):
+        trial.suggest_float("sigma0", 0.02, 1.0, log=True)
     else:
-        for name, least, most in (
-            ("exploration_fraction", 0.02, 0.5),
-            ("exploration_final_eps", 0.01, 0.2),
-        ):
-            drawn[name] = trial.suggest_float(name, least, most)
-    return convert_rainbow_params(
-        {
-            **drawn,
-            "batch_size_pow": trial.suggest_int("batch_size_pow", 4, 9),
-            "learning_rate": trial.suggest_float("learning_rate", 1e-5, 2e-3, log=True),
-            "train_freq": train_freq,
-            "subsample_steps": trial.suggest_int("subsample_steps", 1, min(train_freq, 8)),
-            "tau": trial.suggest_float("tau", 5e-4, 0.05, log=True),
-            "n_steps": trial.suggest_int("n_steps", 1, 10),
-            "noisy": noisy,
-            "alpha": trial.suggest_float("alpha", 0.0, 0.8),
-            "net_arch": trial.suggest_categorical("net_arch", ["small", "medium", "big"]),
-        }
-    )
+        trial.suggest_float("exploration_fraction", 0.02, 0.5)
+        trial.suggest_float("exploration_final_eps", 0.01, 0.2)
+    trial.suggest_int("batch_size_pow", 4, 9)
+    trial.suggest_float("learning_rate", 1e-5, 2e-3, log=True)
+    trial.suggest_int("subsample_steps", 1, min(train_freq, 8))
+    trial.suggest_float("tau", 5e-4, 0.05, log=True)
+    trial.suggest_int("n_steps", 1, 10)
+    trial.suggest_float("alpha", 0.0, 0.8)
+    trial.suggest_categorical("net_arch", ["small", "medium", "big"])
+    return convert_rainbow_params(trial.params)
