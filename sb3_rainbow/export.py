@@ -98,19 +98,13 @@ def to_program(model: Rainbow) -> th.export.ExportedProgram:
     if not isinstance(model, Rainbow):
         raise ExportError(f"expected a Rainbow model, got {type(model).__name__}")
     policy = model.policy
-    ways = {
-        model: ("predict",),
-        policy: ("predict", "_predict", "obs_to_tensor"),
-        policy.q_net: ("_predict",),
-    }
-    for part, names in ways.items():
-        for name in names:
-            home = getattr(part, name).__module__.partition(".")[0]
-            if home not in ("sb3_rainbow", "stable_baselines3"):
-                raise ExportError(
-                    f"{type(part).__name__} chooses actions by a {name} of its own, which would be "
-                    "lost"
-                )
+    of_policy = ((policy, name) for name in ("predict", "_predict", "obs_to_tensor"))
+    for part, name in ((model, "predict"), *of_policy, (policy.q_net, "_predict")):
+        home = getattr(part, name).__module__.partition(".")[0]
+        if home not in ("sb3_rainbow", "stable_baselines3"):
+            raise ExportError(
+                f"{type(part).__name__} chooses actions by a {name} of its own, which would be lost"
+            )
     space = copy.deepcopy(policy.observation_space)  # drawing would move its generator
     each = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
     two_rows = [th.as_tensor(np.stack([part.sample()] * 2)) for part in each]

@@ -151,9 +151,7 @@ class ObservationStore:
         """Undo :meth:`trimmed_state`."""
         self.__dict__.update(state)
         self._rows = {key: whole(values, self.n_rows) for key, values in self._rows.items()}
-        slots = self.slots
-        self.slots = np.full((self.n_rows, self.n_envs), -1, dtype=np.int32)
-        self.slots[: len(slots)] = slots
+        self.slots = whole(self.slots + 1, self.n_rows) - 1  # -1 where nothing is stored
 
 
 def whole(used: NDArray, n_rows: int) -> NDArray:
