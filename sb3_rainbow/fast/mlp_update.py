@@ -8,6 +8,7 @@ from operator import is_
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
+from stable_baselines3.common.preprocessing import preprocess_obs
 from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from threadpoolctl import LibController, ThreadpoolController
@@ -279,7 +280,8 @@ class MlpUpdate:
     def _extract(self, net: RainbowNetwork, obs: PyTorchObs) -> th.Tensor:
         """Features of observations; to flatten them costs less than to call a module."""
         if self._flattens:
-            values = net.preprocess(obs)
+            space, images = net.observation_space, net.normalize_images
+            values = preprocess_obs(obs, space, normalize_images=images)
             assert isinstance(values, th.Tensor)
             return values.flatten(1)
         return net.extract_features(obs, net.features_extractor)

@@ -11,7 +11,6 @@ import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import BaseModel, BasePolicy
-from stable_baselines3.common.preprocessing import preprocess_obs
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
@@ -173,20 +172,15 @@ class RainbowNetwork(AsVector, BasePolicy):
             layers.append(NoisyLinear(n_in, n_out, self.sigma0, shared))
         return nn.ModuleList(layers)
 
-    def preprocess(self, obs: PyTorchObs) -> PyTorchObs:
-        """Scale observations or make them one-hot; large images get their channels last."""
-        images = isinstance(obs, th.Tensor) and obs.ndim == 4
-        if images and gains_by_channels_last(self.features_extractor):
-            assert isinstance(obs, th.Tensor)
-            obs = obs.contiguous(memory_format=th.channels_last)
-        return preprocess_obs(obs, self.observation_space, normalize_images=self.normalize_images)
-
     def extract_features(
         self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor
     ) -> th.Tensor:
-        """As SB3's, after :meth:`preprocess`."""
-        features: th.Tensor = features_extractor(self.preprocess(obs))
-        return features
+        """As SB3's; large images get their channels last."""
+        images = isinstance(obs, th.Tensor) and obs.ndim == 4
+        if images and gains_by_channels_last(features_extractor):
+            assert isinstance(obs, th.Tensor)
+            obs = obs.contiguous(memory_format=th.channels_last)
+        return super().extract_features(obs, features_extractor)
 
     def _own_layers(self) -> list[nn.Module]:
         """The layers that :meth:`streams` calls; none where a subclass does without."""

@@ -117,10 +117,8 @@ class ObservationStore:
     def release(self, row: int) -> None:
         """Free the boundary slots of a row that is about to be overwritten."""
         slots = self.slots[row]
-        taken = slots[slots >= 0]
-        if taken.size:
-            self._free_slots.extend(taken.tolist())
-            slots[:] = -1
+        self._free_slots.extend(slots[slots >= 0].tolist())
+        slots[:] = -1
 
     def gather(
         self, leaves: NDArray[np.int64], next_rows: NDArray[np.int64], next_slots: NDArray[np.int64]
