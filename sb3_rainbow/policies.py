@@ -149,8 +149,9 @@ class RainbowPolicy(AsVector, BasePolicy):
 
     def make_q_net(self) -> RainbowNetwork:
         """A network with its own features extractor."""
-        net_args = self._update_features_extractor(self.net_args, features_extractor=None)
-        return RainbowNetwork(**net_args).to(self.device)
+        own = self.make_features_extractor()
+        features: dict[str, Any] = {"features_extractor": own, "features_dim": own.features_dim}
+        return RainbowNetwork(**features, **self.net_args).to(self.device)
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
         """Greedy actions, shape ``(B,)``."""
