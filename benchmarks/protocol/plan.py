@@ -108,8 +108,10 @@ def _of_suite(preset: SuitePreset) -> Iterator[Cell]:
     for key, task in preset.tasks.items():
         methods = [method for method in preset.methods if method not in task.skip]
         controls = [c for c in preset.controls if c != "script" or task.env in SCRIPTED]
-        for seed in preset.seeds if task.seeds is None else task.seeds:
-            yield from (of_task(method, key, seed) for method in [*methods, *controls])
+        for method in [*methods, *controls]:
+            shared = preset.seeds if task.seeds is None else task.seeds
+            for seed in preset.method_seeds.get(method, shared):
+                yield of_task(method, key, seed)
 
 
 def _of_groups(preset: Preset) -> Iterator[Cell]:

@@ -327,6 +327,7 @@ class SuitePreset(Strict):
     tasks: dict[str, Task]
     methods: Names = field(default_factory=lambda: ["rainbow", "dqn", "qrdqn"])
     controls: Names = field(default_factory=list)  # a script only where a task has one
+    method_seeds: dict[str, Seeds] = field(default_factory=dict)  # instead of those above
     checkpoint_seconds: AtLeast0 = 60.0
     search: bool = False  # compares settings of an algorithm rather than algorithms
 
@@ -335,6 +336,8 @@ class SuitePreset(Strict):
             raise ValueError("controls: a search compares settings, it has none")
         if unknown := {*self.controls} - SUITE_CONTROLS.keys():
             raise ValueError(f"controls: unknown '{min(unknown)}'; known: {known(SUITE_CONTROLS)}")
+        if unknown := self.method_seeds.keys() - {*self.methods, *self.controls}:
+            raise ValueError(f"method_seeds: '{min(unknown)}' is not among methods and controls")
         for method, (key, task) in product(self.methods, self.tasks.items()):
             algorithm_of(method)
             if method not in {*task.methods, *task.skip}:

@@ -184,6 +184,7 @@ def test_a_run_is_stored_planned_and_reported(
         ({"controls": ["held"], "search": True}, "controls: a search compares settings"),
         ({"controls": ["oracle"]}, "controls: unknown 'oracle'; known: held, random, script"),
         ({"methods": ["rainbow_x"]}, "methods has no settings for 'rainbow_x'"),
+        ({"method_seeds": {"a2c": [1]}}, "method_seeds: 'a2c' is not among methods and controls"),
     ],
 )
 def test_bad_presets_are_refused(change: dict[str, object], message: str, tmp_path: Path) -> None:
@@ -235,3 +236,12 @@ def test_a_task_gives_arguments_to_all_methods_and_skips_some() -> None:
     task = preset.tasks["changed_bits"]
     scores = evaluate(model_policy(model), task, [1, 2, 3])  # of dictionaries
     assert all(-8.0 <= total <= 0.0 and length <= 8 for total, length in scores)
+
+
+def test_a_method_may_have_seeds_of_its_own() -> None:
+    preset = load_suite("control")
+    seeds = {name: set[int]() for name in [*preset.methods, *preset.controls]}
+    for cell in expand(preset):
+        seeds[cell.method].add(cell.seed)
+    assert seeds.pop("rainbow") == {11, 12, 13, 14, 15}
+    assert set(map(frozenset, seeds.values())) == {frozenset(preset.seeds)}
