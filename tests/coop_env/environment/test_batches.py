@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -10,6 +9,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+from stable_baselines3.common.vec_env import VecMonitor
 
 from coop_env import (
     CoopInsertionEnv,
@@ -27,18 +28,10 @@ NOISY: dict[str, Any] = {
     "mask_visited": 4,
     "mask_refused": True,
 }
-COPIES: list[Callable[[Any], Any]] = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
-
-
-def courses(env: Any, n: int) -> list[bytes]:
-    """What a fixed sequence of moves shows, masks included."""
-    rng = np.random.default_rng(1)
-    shown = []
-    n_actions = env.action_masks().shape[1]
-    for _ in range(n):
-        step = env.step(rng.integers(n_actions, size=env.num_envs))
-        shown += [x.tobytes() for x in step[:-1]] + [env.action_masks().tobytes()]
-    return shown
+FORMS: dict[Any, dict[str, Any]] = {
+    CoopInsertionVecEnv: NOISY,
+    CoopInsertionTeamVecEnv: {"max_moves": 9},
+}
 
 
 @pytest.mark.parametrize(
@@ -90,65 +83,58 @@ def test_both_batches_are_single_environments_in_rows(
     assert min(violations, ends) > 10
 
 
-@pytest.mark.parametrize("duplicate", COPIES, ids=["deepcopy", "pickle"])
-@pytest.mark.parametrize(
-    ("form", "arguments"),
-    [
-        (CoopInsertionVecEnv, NOISY),
-        (CoopInsertionVectorEnv, NOISY),
-        (CoopInsertionTeamVecEnv, {"max_moves": 9}),
-    ],
-)
-def test_a_copy_of_a_batch_plays_on_as_the_original(
-    form: Any, arguments: dict[str, Any], duplicate: Any
-) -> None:
-    env = form(3, **arguments)
-    env.reset()
-    courses(env, 20)
-    env.set_attr("stage", 0)
-    assert {int(s["active"].sum()) for s in env.get_attr("state")} == {6}  # until the next reset
-    twin = duplicate(env)
-    assert set(twin.get_attr("stage")) == {0}
-    assert courses(twin, 80) == courses(env, 80)
-    assert {int(s["active"].sum()) for s in twin.get_attr("state")} == {4}
+def course(env: Any) -> list[bytes]:
+    """What the move taken, fixed ones after it and the next reset show, masks included."""
+    rng = np.random.default_rng(1)
+    step, shown = env.step_wait(), []
+    for _ in range(80):
+        masks = env.action_masks()
+        shown += [x.tobytes() for x in step[:-1]] + [masks.tobytes()]
+        step = env.step(rng.integers(masks.shape[1], size=env.num_envs))
+    return [*shown, env.reset().tobytes()]
 
 
-@pytest.mark.parametrize("duplicate", COPIES, ids=["deepcopy", "pickle"])
-def test_a_copy_makes_the_move_that_was_taken(duplicate: Any) -> None:
-    env = CoopInsertionVecEnv(3, seed=0)
+@pytest.mark.parametrize("form", FORMS)
+def test_copies_and_snapshots_play_on_as_the_original(form: Any) -> None:
+    """With the move taken, and the stage and the options of the next reset."""
+    env, other = (form(3, seed=seed, **FORMS[form]) for seed in (0, 9))
     env.reset()
+    for _ in range(20):
+        last, *_ = env.step(np.arange(env.num_envs))
     env.set_options({"target": 2})
-    env.step_async(np.array([0, 6, 11]))
-    twin = duplicate(env)
-    ours, theirs = env.step_wait(), twin.step_wait()
-    assert ours[0].tobytes() == theirs[0].tobytes()
-    assert not np.array_equal(ours[0], env.reset())
-    twin.reset()
-    assert [s["target"] for s in twin.get_attr("state")] == [2, 2, 2]
-
-
-@pytest.mark.parametrize(
-    ("form", "arguments"),
-    [(CoopInsertionVecEnv, NOISY), (CoopInsertionTeamVecEnv, {"max_moves": 9})],
-)
-def test_a_snapshot_brings_its_observations_and_the_move_taken(
-    form: Any, arguments: dict[str, Any]
-) -> None:
-    env = form(3, seed=0, **arguments)
-    first, second = np.arange(env.num_envs), np.arange(env.num_envs)[::-1].copy()
-    env.reset()
-    last, *_ = env.step(first)
-    env.step_async(second)
+    env.set_attr("stage", 0)
+    env.step_async(np.arange(env.num_envs)[::-1].copy())
     snapshot = pickle.loads(pickle.dumps(env.get_state()))
-    other = form(3, seed=9, **arguments)
-    other.reset()
     assert other.set_state(snapshot).tobytes() == last.tobytes()  # the very noise, not another draw
-    assert other.step_wait()[0].tobytes() == env.step_wait()[0].tobytes()
-    assert courses(other, 60) == courses(env, 60)
-    single = env.envs[0]
-    last, snapshot = single.observe(), single.get_state()
-    single.step(2)
-    assert single.set_state(snapshot).tobytes() == last.tobytes()
+    twins = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), other]
+    assert set(env.get_attr("stage")) == {0}
+    assert {int(s["active"].sum()) for s in env.get_attr("state")} == {6}  # until the next reset
+    assert [course(twin) for twin in twins] == [course(env)] * 3
+    assert {(int(s["target"]), int(s["active"].sum())) for s in env.get_attr("state")} == {(2, 4)}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_sb3s_tools_and_wrappers_work_on_the_batch(form: Any) -> None:
+    batch = form(2, seed=0, max_moves=3)
+    n = batch.rows_each  # of each environment
+    batch.set_options([{"target": 1}, {"target": 2}])
+    monitored = VecMonitor(batch)
+    monitored.reset()
+    assert [s["target"] for s in batch.get_attr("state")] == [1] * n + [2] * n
+    assert is_masking_supported(monitored)
+    assert get_action_masks(monitored).shape == (2 * n, batch.action_space.n)
+    for _ in range(3):
+        *_, infos = monitored.step(np.full(2 * n, 6))
+    assert [info["episode"]["l"] for info in infos] == [3] * (2 * n)
+    batch.env_method("set_stage", 0)
+    batch.set_attr("stage", 1, indices=[2 * n - 1])
+    assert batch.get_attr("stage") == [0] * n + [1] * n
+    with pytest.raises(ArgumentError, match="speed"):
+        batch.set_attr("speed", 1)
+    assert batch.env_is_wrapped(VecMonitor) == [False] * (2 * n)
+    assert len(batch.get_images()) == 2
+    assert batch.metadata == CoopInsertionEnv.metadata
+    batch.close()
 
 
 @pytest.mark.parametrize("bad", [{"target": 9}, [{"target": 1}], [{}, {"filled": 3}], 5])
@@ -223,8 +209,6 @@ def test_attributes_and_calls_reach_each_environment() -> None:
     assert [len(each.scene().trace) for each in env.envs] == [2, 2]
     with pytest.raises(ArgumentError, match="3 values for 2"):
         env.set_attr("stage", [0, 1, 0])
-    with pytest.raises(ArgumentError, match="speed"):
-        env.set_attr("speed", 1)
     with pytest.raises(ArgumentError, match="stage = 7"):
         env.set_attr("stage", [0, 7])
     assert env.get_attr("stage") == (1, 0)  # the first is as it was, too
@@ -260,13 +244,3 @@ def test_the_masks_of_infos_are_arrays_of_their_own() -> None:
     _, infos = env.reset(seed=0)
     infos["_success"][:] = False
     assert infos["_distance"].all()
-
-
-@pytest.mark.parametrize("task", ["CoopInsertion-v0", "CoopInsertionContact-v0"])
-def test_minus_one_is_gymnasiums_no_limit(task: str) -> None:
-    limits = []
-    for limit in (None, -1):
-        env: Any = gymnasium.make_vec(task, num_envs=1, max_episode_steps=limit)
-        own = env.unwrapped
-        limits.append(own.batch.max_steps if "Contact" in task else own.envs[0].params.task)
-    assert limits[0] == limits[1]

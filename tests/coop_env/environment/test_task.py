@@ -72,7 +72,8 @@ def test_any_number_of_holes() -> None:
         assert not env.step(move)[2]
     *_, terminated, _, info = env.step(moves[-1])
     assert terminated
-    assert info["n_filled"] == n
+    assert (info["n_filled"], info["all_filled"]) == (n, True)
+    assert env.scene().status == "success"
 
 
 def test_entering_the_last_of_many_holes_once_more_is_a_duplicate() -> None:
@@ -139,6 +140,8 @@ def test_a_wider_singular_margin_ends_episodes_sooner() -> None:
     for margin, status in ((0.05, 0), (0.9, 3)):
         env = CoopInsertionEnv(task={"singular_margin": margin, "start_sigma": 0.95})
         assert env.configuration_status(near) == status
+    for nonsense in ([math.nan] * 6, [math.inf, 0, 0, 0, 0, 0]):
+        assert env.configuration_status(nonsense) == 1
 
 
 @pytest.mark.parametrize(

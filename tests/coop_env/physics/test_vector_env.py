@@ -80,6 +80,8 @@ def same(infos: dict[str, Any], row: int, info: dict[str, Any]) -> None:
 
 
 def test_make_vec_makes_it_and_knows_the_limit() -> None:
+    endless: Any = gym.make_vec(ID, num_envs=1, max_episode_steps=-1)
+    assert endless.batch.max_steps == ContactTask().max_steps
     env = gym.make_vec(ID, num_envs=2, level="hard", max_episode_steps=4)
     assert isinstance(env, CoopInsertionContactVectorEnv)
     env.reset(seed=0)

@@ -10,7 +10,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
-from coop_env import CoopInsertionTeamVecEnv, CoopInsertionVecEnv  # registers the ids too
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ArgumentError
 from coop_env.rendering import render_frame
@@ -55,13 +54,6 @@ def test_no_mode_draws_nothing_and_says_so() -> None:
     env.reset(seed=0)
     with pytest.warns(UserWarning, match="render_mode"):
         assert env.render() is None
-
-
-def test_metadata_has_the_modes_and_the_robots_own_pace() -> None:
-    assert set(CoopInsertionEnv.metadata["render_modes"]) == {"rgb_array", "ansi"}
-    assert CoopInsertionEnv.metadata["render_fps"] == 5
-    for form in (CoopInsertionVecEnv, CoopInsertionTeamVecEnv):
-        assert form(1).metadata == CoopInsertionEnv.metadata
 
 
 def test_checker_passes_with_every_mode() -> None:

@@ -4,10 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stable_baselines3.common.vec_env import VecMonitor
 
 from coop_env import CoopInsertionTeamVecEnv
-from coop_env.errors import ArgumentError
 from coop_env.team.agents import Team
 
 ARGUMENTS: list[dict[str, Any]] = [
@@ -60,28 +58,3 @@ def test_without_indicator_and_in_si_units() -> None:
     rows = batch.reset()
     assert rows.shape == (4, 6)
     assert all(batch.observation_space.contains(row) for row in rows)
-
-
-def test_attributes_options_and_wrappers() -> None:
-    batch = CoopInsertionTeamVecEnv(2, seed=0, max_moves=3)
-    batch.set_options([{"target": 1}, {"target": 2}])
-    monitored = VecMonitor(batch)
-    monitored.reset()
-    assert [s["target"] for s in batch.get_attr("state")] == [1, 1, 2, 2]
-    for _ in range(3):
-        *_, infos = monitored.step(np.full(4, 6))
-    assert [info["episode"]["l"] for info in infos] == [3] * 4
-    batch.set_attr("stage", 0, indices=[2])
-    assert batch.get_attr("stage") == [1, 1, 0, 0]
-    assert batch.env_is_wrapped(VecMonitor) == [False] * 4  # type: ignore[arg-type]
-    assert len(batch.get_images()) == 2
-    batch.close()
-
-
-def test_an_attribute_is_set_for_all_teams_or_for_none() -> None:
-    teams = CoopInsertionTeamVecEnv(2)
-    first: Any = teams.envs[0]
-    first.mark = 1  # which the second team has not
-    with pytest.raises(ArgumentError):
-        teams.set_attr("mark", 2)
-    assert first.mark == 1
