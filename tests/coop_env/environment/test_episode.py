@@ -19,7 +19,8 @@ def test_the_criterion_holds_exactly_when_an_insertion_is_reported(task: dict[st
     rng = np.random.default_rng(0)
     near = insertions = 0
     for seed in range(40):
-        env.reset(seed=seed)
+        _, info = env.reset(seed=seed)
+        assert not any(info[key] for key in ("success", "is_success", "all_filled"))
         plan = LatticeOracle().plan(env).moves
         if plan is None:
             continue
@@ -47,36 +48,13 @@ def test_the_criterion_holds_exactly_when_an_insertion_is_reported(task: dict[st
             if info["inserted"] and not terminated:
                 distances[state["filled"] == 1] = np.inf
                 assert info["target"] == state["target"] == np.argmin(distances)
+                assert env.scene().status == "running"
             near += int(meets)
             if terminated:
                 break
         insertions += n_before
     assert near > 5
     assert insertions > 3
-
-
-@pytest.mark.parametrize("geometry", ["initial", "optimized"])
-def test_crossing_a_singularity_terminates(geometry: str) -> None:
-    env = CoopInsertionEnv(geometry=geometry)
-    rng = np.random.default_rng(0)
-    ended = 0
-    for seed in range(60):
-        env.reset(seed=seed, options={"configuration": (0, 0, -0.27, 0, 0, 0.22)})
-        roll, pitch = (int(k) for k in rng.integers(2, size=2))
-        terminated = truncated = False
-        while not (terminated or truncated):
-            action = (6 + roll) if rng.random() < 0.5 else (8 + pitch)
-            if not env.action_masks()[action]:
-                break
-            _, reward, terminated, truncated, info = env.step(action)
-            assert terminated == info["singular"] == (info["sigma_min"] < 0.05)
-        if terminated:
-            ended += 1
-            assert info["violation"]
-            assert not info["inserted"]
-            assert reward == -3.0
-            assert env.scene().status == "singular"
-    assert ended > 5
 
 
 @pytest.mark.parametrize("reward", ["paper", "progress"])
