@@ -4,8 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED
@@ -87,24 +85,25 @@ def test_agrees_with_the_reference_over_a_grid(name: str) -> None:
     np.testing.assert_allclose(kappa, np.linalg.cond(state.jacobian[reachable]), rtol=1e-5)
 
 
-@given(
-    pose=st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(0.21, 0.25)),
-    rates=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.1, 0.1)),
-)
-@settings(max_examples=150, deadline=None)
-def test_joint_rates_are_the_derivative_of_the_inverse(
-    pose: tuple[float, float, float], rates: tuple[float, float, float]
-) -> None:
-    at, speed = np.array(pose), np.array(rates)
-    h = 1e-5
-    line = at + np.array([-2 * h, -h, h, 2 * h])[:, None] * speed
-    q, reachable = rrs.inverse(line)
-    points = rrs.limb_points(at)
-    leverage = np.linalg.norm(np.cross(points[:, 2] - points[:, 1], points[:, 1] - points[:, 0]))
-    if not reachable.all() or not leverage > 1e-3 or rrs.limb_margin(at).min() < 0.02:
-        return
-    expected = (q[0] - 8 * q[1] + 8 * q[2] - q[3]) / (12 * h)
-    np.testing.assert_allclose(rrs.joint_rates(at, speed), expected, atol=1e-6, rtol=1e-6)
+@pytest.mark.parametrize("name", sorted(GEOMETRIES))
+def test_jacobian_and_joint_rates_are_the_derivative_of_the_inverse(name: str) -> None:
+    """Moving along roll, pitch and heave; the twist is read off the reference's rotation."""
+    g, h = GEOMETRIES[name], 1e-5
+    poses = _poses(500, seed=9, spread=0.7)
+    poses = poses[rrs.limb_margin(poses, g).min(axis=-1) > 0.02]  # off type I singularities
+    weights = np.array([1.0, -8.0, 8.0, -1.0]) / (12.0 * h)
+    steps = h * np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.eye(3)
+    state = reference.evaluate(poses[:, None, None] + steps, g)
+    rates = np.einsum("j,njki->nki", weights, state.q)
+    turning = np.einsum("j,njkab->nkab", weights, state.rotation)
+    spin = turning @ np.swapaxes(reference.platform_pose(poses, g)[1], -1, -2)[:, None]
+    rising = np.einsum("j,njk->nk", weights, state.position[..., 2]) / g.characteristic_length
+    twists = np.stack([spin[..., 2, 1], spin[..., 0, 2], rising], axis=-1)
+    moved = np.einsum("nij,nkj->nki", rrs.jacobian(poses, g), twists)
+    np.testing.assert_allclose(moved, rates, atol=1e-6, rtol=1e-6)
+    own = rrs.joint_rates(poses[:, None], np.eye(3), g)
+    np.testing.assert_allclose(own, rates, atol=1e-6, rtol=1e-6)
+    assert len(poses) > 300
 
 
 def test_parasitic_x_y_yaw_rebuild_the_pose() -> None:

@@ -80,37 +80,6 @@ def test_limbs_close_and_stay_in_their_planes(at: At) -> None:
 
 
 @everywhere
-def test_jacobian_is_the_derivative_of_the_inverse_kinematics(at: At) -> None:
-    """Move along the mechanism's own motions; read the twist off the reference's rotation."""
-    name, roll, pitch, heave = at
-    g, p = GEOMETRIES[name], PARAMS[name]
-    pose = kernels.platform_pose(roll, pitch, heave, p)
-    reachable, q = kernels.inverse(pose, p)
-    if not reachable or min(abs(b) for b in kernels.jacobian_parts(pose, q, p)[1]) < 0.02:
-        return  # beside a type I singularity the derivative runs to infinity
-    jacobian = np.array(kernels.singular_state(pose, q, p)[0])
-    rotation = _rotation(pose)
-    step = 1e-5
-    for k in range(3):
-        # Richardson's combination of two central differences: truncation error of order step^4
-        rates, twists = [], []
-        for h in (step, 2 * step):
-            low, high = np.array([roll, pitch, heave]), np.array([roll, pitch, heave])
-            low[k] -= h
-            high[k] += h
-            a, b = reference.evaluate(low, g), reference.evaluate(high, g)
-            rates.append((b.q - a.q) / (2 * h))
-            spin = ((b.rotation - a.rotation) / (2 * h)) @ rotation.T
-            v_z = (b.position[2] - a.position[2]) / (2 * h)
-            twists.append([spin[2, 1], spin[0, 2], v_z / g.characteristic_length])
-        if not np.isfinite(rates).all():
-            continue
-        rate = (4 * rates[0] - rates[1]) / 3
-        twist = (4 * np.array(twists[0]) - twists[1]) / 3
-        np.testing.assert_allclose(jacobian @ twist, rate, atol=1e-6, rtol=1e-6)
-
-
-@everywhere
 def test_turning_the_normal_by_120_degrees_permutes_the_limbs(at: At) -> None:
     name, roll, pitch, heave = at
     p = PARAMS[name]
