@@ -86,28 +86,6 @@ def test_energy_only_changes_hands_when_nothing_drives_it() -> None:
     assert abs(data.energy.sum() - before.sum()) < 0.02 * exchanged
 
 
-def test_a_push_does_its_work_on_all_that_moves() -> None:
-    """Servos off and weightless: the work of a force on the effector is the kinetic energy."""
-    twin = Twin()
-    twin.place(0, twin.machine.home())
-    model, data = twin.inspect(0)
-    model.actuator_gainprm[:] = 0.0
-    model.actuator_biasprm[:] = 0.0
-    push = np.array([2.0, 1.0, 3.0])
-    data.xfrc_applied[model.body("effector").id, :3] = push
-    slides = [model.joint(f"effector_{axis}").dofadr[0] for axis in "xyz"]
-    work = 0.0
-    for _ in range(20):
-        before = data.qvel[slides].copy()
-        mujoco.mj_step(model, data)
-        work += 0.5 * model.opt.timestep * float(push @ (before + data.qvel[slides]))
-    mujoco.mj_forward(model, data)
-    momentum = np.empty(model.nv)
-    mujoco.mj_mulM(model, data, momentum, data.qvel)
-    assert work > 0.01
-    assert 0.5 * data.qvel @ momentum == pytest.approx(work, rel=0.02)
-
-
 def test_what_one_machine_is_told_is_no_other_ones() -> None:
     alone, both = Twin(), Twin(n=2)
     still = both.servo_targets(both.machine.home())

@@ -117,23 +117,6 @@ def test_no_random_agent_does_harm_and_the_way_back_stays_open() -> None:
     assert interventions > 50
 
 
-@pytest.mark.parametrize("seed", [1000, 1001])
-def test_an_imperfect_machine_is_kept_safe_within_the_margins(seed: int) -> None:
-    """An adversary takes the allowed move with the least sigma."""
-    real = SimToReal(base_position_error=0.001, base_tilt_error=0.002, link_length_error=0.0003)
-    wrapped = ShieldWrapper(make_env(sim_to_real=real))
-    wrapped.reset(seed=seed)
-    for _ in range(300):
-        masks, state = wrapped.action_masks(), wrapped._configuration()
-        sigma = np.where(masks, wrapped.shield.sigma_after(state), np.inf)
-        least = np.flatnonzero(sigma <= np.nanmin(sigma) + 1e-9)
-        _, _, terminated, truncated, info = wrapped.step(int(least[-1]))
-        assert not info["collision"]
-        assert not info["singular"]
-        if terminated or truncated:
-            wrapped.reset()
-
-
 def test_masks_are_those_of_the_environment_and_of_the_shield() -> None:
     wrapped = ShieldWrapper(gym.make("CoopInsertion-v0", mask_visited=8))
     wrapped.reset(seed=3)
