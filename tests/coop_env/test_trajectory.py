@@ -97,14 +97,17 @@ def test_between_two_stops_all_joints_move_in_proportion(
             assert part == pytest.approx(np.outer(share, part[-1]), abs=1e-9)
 
 
-def test_a_move_of_tilt_at_the_least_heave_is_free() -> None:
-    """Straight for the joints, the platform bows by 0.05 mm out of its range of heave."""
-    start = walk(0, 0)[0]
-    start[3:] = 0.0, 0.0, OPTIMIZED.heave_min
-    for axis, step in ((3, 0.03), (3, -0.03), (4, 0.03), (4, -0.03)):
-        result = make_trajectory([start, start + step * np.eye(6)[axis]])
+def test_a_move_along_a_bound_is_free() -> None:
+    """Straight for the joints, it bows out: the platform by 0.05 mm, the effector by half a one."""
+    low, wide = walk(0, 0).repeat(2, axis=0)
+    low[3:] = 0.0, 0.0, OPTIMIZED.heave_min
+    wide[:3] = DELTA.planar_limit, 0.0, -0.40
+    moves = [(low, step * np.eye(6)[axis]) for axis in (3, 4) for step in (0.03, -0.03)]
+    for start, move in [*moves, (wide, -0.02 * np.eye(6)[2])]:
+        result = make_trajectory([start, start + move])
         assert result.blocked() == []
         assert result.configurations[:, 5].min() > OPTIMIZED.heave_min - 1e-4
+    assert np.hypot(*result.configurations[:, :2].T).max() > DELTA.planar_limit + 1e-4
 
 
 def test_blended_moves_pass_without_a_stop() -> None:
@@ -211,12 +214,3 @@ def test_without_ruckig_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "ruckig", None)
     with pytest.raises(DependencyNotInstalled, match=r"\[trajectory\]"):
         lowered()
-
-
-def test_a_move_along_the_deltas_bound_is_free() -> None:
-    """Straight for the joints, the effector bows by half a millimetre out of its radius."""
-    start = walk(0, 0)[0]
-    start[:3] = DELTA.planar_limit, 0.0, -0.40
-    result = make_trajectory([start, start - 0.02 * np.eye(6)[2]])
-    assert result.blocked() == []
-    assert np.hypot(*result.configurations[:, :2].T).max() > DELTA.planar_limit + 1e-4

@@ -28,6 +28,7 @@ from coop_env.kinematics import rrs_kernels
 from coop_env.shield import ShieldedInsertionEnv
 
 VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
+SINGULAR = (0.0, 0.0, -0.27, 0.6, -0.3, 0.22)  # of the initial geometry
 
 
 @pytest.mark.parametrize(
@@ -63,6 +64,8 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"geometry": {"base_radius": 0.2}}, ArgumentError, "proximal_length"),
         ({"geometry": {**asdict(OPTIMIZED), "joint_min": "low"}}, GeometryError, "'low'"),
         ({"geometry": {**asdict(OPTIMIZED), "distal_length": 0.08}}, GeometryError, "home"),
+        ({"geometry": {**asdict(OPTIMIZED), "heave_min": 0.22}}, GeometryError, "0.21.*heave_min"),
+        ({"delta": {"peg_length": 0.004}}, GeometryError, "peg_length = 0.004 m must exceed"),
         ({"mask_visited": 1, "task": {"linear_step": 1e-4}}, ArgumentError, "steps of at least"),
         (
             {"sim_to_real": {"chamfer_error": 0.004}, "task": {"tolerance": 0.003}},
@@ -74,17 +77,6 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
 def test_arguments(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         CoopInsertionEnv(**kwargs)
-
-
-def test_a_geometry_that_cannot_be_assembled() -> None:
-    with pytest.raises(GeometryError, match="lambda"):
-        RRSGeometry.from_lambdas(0.5, 1.0)
-    with pytest.raises(
-        GeometryError, match=r"home_heave = 0\.21 m: must lie from heave_min = 0\.22"
-    ):
-        RRSGeometry(**{**asdict(OPTIMIZED), "heave_min": 0.22})
-    with pytest.raises(GeometryError, match=r"peg_length = 0\.004 m must exceed peg_radius"):
-        DeltaGeometry(peg_length=0.004, peg_radius=0.005)
 
 
 def test_a_geometry_of_other_numbers_is_one_of_floats() -> None:
@@ -113,6 +105,7 @@ def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None
         ({"configuration": (math.nan, *VALID[1:])}, "finite"),
         ({"configuration": (0.0, 0.0, -0.1, 0.0, 0.0, 0.22)}, "workspace"),
         ({"configuration": (0.0, 0.0, -0.6, 0.0, 0.0, 0.22)}, "collision"),
+        ({"configuration": SINGULAR}, "singular"),
         ({"target": 1.0}, "target = 1.0"),
         ({"filled": map(int, "01")}, "filled = <map"),
         ({"filled": {0: False}}, "filled = {0: False}"),
@@ -122,7 +115,7 @@ def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None
     ],
 )
 def test_reset_options(options: Any, message: str) -> None:
-    env = CoopInsertionEnv(stage=0)
+    env = CoopInsertionEnv("initial", stage=0)
     env.reset(seed=3)
     env.step(int(np.flatnonzero(env.action_masks())[0]))
     before = env.get_state()
@@ -131,21 +124,6 @@ def test_reset_options(options: Any, message: str) -> None:
     after = env.get_state()
     assert after["states"].tobytes() == before["states"].tobytes()
     assert after["rng"] == before["rng"]
-
-
-def test_the_status_of_a_singular_start_and_of_nonsense() -> None:
-    env = CoopInsertionEnv(geometry="initial")
-    rng = np.random.default_rng(0)
-    for _ in range(10_000):
-        c = (0.0, 0.0, -0.27, *rng.uniform(-0.75, 0.75, 2), rng.uniform(0.21, 0.25))
-        if env.configuration_status(c) == 3:
-            break
-    with pytest.raises(ResetOptionError, match="singular"):
-        env.reset(options={"configuration": c})
-    for nonsense in ([math.nan] * 6, [math.inf, 0, 0, 0, 0, 0]):
-        assert env.configuration_status(nonsense) == 1
-    with pytest.raises(ResetOptionError, match="shape"):
-        env.configuration_status([0.0] * 5)
 
 
 @pytest.mark.parametrize(

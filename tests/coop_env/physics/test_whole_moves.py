@@ -59,16 +59,6 @@ def test_moves_end_where_the_kinematic_task_has_them() -> None:
         assert np.degrees(np.arccos(cosine)).max() < 0.05
 
 
-def test_the_kinematic_criterion_fills_a_hole_without_a_finish() -> None:
-    env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR)
-    env.reset(seed=0, options=above(2, 0.025))
-    *_, info = env.step(DOWN)
-    assert (info["inserted"], info["inserted_hole"]) == (True, 2)
-    assert info["distance"] == pytest.approx(0.005, abs=1e-3)
-    assert info["target"] != 2
-    assert env.state["filled"][2] == 1
-
-
 def test_an_error_of_the_machine_is_not_seen_but_counts() -> None:
     env = CoopInsertionPhysicsDiscreteEnv()
     options = above(2, 0.029)
@@ -184,12 +174,15 @@ def test_a_simulation_has_no_snapshots() -> None:
         env.step(12)
 
 
-def test_it_is_drawn_as_it_is_from_the_start_of_each_episode() -> None:
+def test_the_kinematic_criterion_fills_a_hole_and_each_episode_is_drawn_as_it_is() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, render_mode="ansi")
     for _ in range(2):
         env.reset(seed=0, options=above(2, 0.025))
         np.testing.assert_array_equal(env.scene().trace, [env.physics.twin.readings().tip[0]])
-        env.step(DOWN)
+        *_, info = env.step(DOWN)
+        assert (info["inserted"], info["inserted_hole"]) == (True, 2)
+        assert info["distance"] == pytest.approx(0.005, abs=1e-3)
+        assert info["target"] != 2
         scene = env.scene()
         assert scene.filled.tolist() == [False, False, True, False, False, False]
         assert len(scene.trace) == 2

@@ -128,7 +128,6 @@ def test_the_peg_may_touch_the_dome_only_inside_a_chamfer() -> None:
     assert statuses == [0, 2]
 
 
-FREE, COLLISION = 0, 2
 # a forearm alone touches the dome; in the last a spoke, and the link that ends there
 LEANING = (
     (0.0884, -0.1160, -0.5697, -0.1712, 0.2817, 0.2463),
@@ -138,22 +137,13 @@ LEANING = (
 
 
 @pytest.mark.parametrize("leaning", LEANING)
-def test_a_forearm_touches_at_ten_millimetres(leaning: Configuration) -> None:
-    env = CoopInsertionEnv()
-    x, y, z, roll, pitch, heave = leaning
-    touching, free = z, z + 0.06
-    assert env.configuration_status(leaning) == COLLISION
-    assert env.configuration_status((x, y, free, roll, pitch, heave)) == FREE
-    while free - touching > 1e-7:
-        middle = 0.5 * (free + touching)
-        if env.configuration_status((x, y, middle, roll, pitch, heave)) == FREE:
-            free = middle
-        else:
-            touching = middle
-    for radius in (0.010, 0.009):  # a thinner forearm would be free
-        thinner = CoopInsertionEnv(task={"forearm_radius": radius})
-        gap = clearance(thinner, (x, y, free, roll, pitch, heave))
-        assert gap == pytest.approx(0.010 - radius, abs=1e-6)
+def test_a_forearm_alone_collides_until_it_is_as_thin_as_the_gap(leaning: Configuration) -> None:
+    thin = CoopInsertionEnv(task={"forearm_radius": 1e-3})
+    gap = 1e-3 + clearance(thin, leaning)  # from the forearm's axis
+    assert 1e-3 < gap < CoopInsertionEnv().task.forearm_radius == 0.010
+    for radius, status in ((0.010, 2), (gap + 1e-7, 2), (gap - 1e-7, 0)):
+        env = CoopInsertionEnv(task={"forearm_radius": radius})
+        assert env.configuration_status(leaning) == status
 
 
 def test_staying_in_a_filled_hole_is_no_duplicate() -> None:

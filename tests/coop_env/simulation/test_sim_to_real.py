@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.kinematics import rrs
-from coop_env.kinematics.rotations import roll_pitch
 from coop_env.kinematics.rrs_kernels import Pose
+from coop_env.physics.model import Machine
+from coop_env.physics.task import start_configurations
 from coop_env.simulation.collision import on_base
 from coop_env.simulation.machine import displaced, gaussian, uniform
 from coop_env.simulation.sim_to_real import RANDOMIZED
@@ -105,13 +106,7 @@ def test_noise_has_the_standard_deviation_asked_for(normalize: bool) -> None:
 def test_a_configuration_in_a_hole_may_be_named_with_knobs_too() -> None:
     """The nominal machine may begin there; drawn starts do not."""
     env = CoopInsertionEnv()
-    hole, normals = 4, np.array(env.task.hole_normals)
-    angles = roll_pitch(normals * [-1.0, -1.0, 1.0])[hole]
-    pose = rrs.platform_pose([*angles, 0.23])
-    mouth = pose.position + env.task.dome_radius * pose.rotation @ normals[hole]
-    delta = env.params.delta
-    z = mouth[2] + 0.002 + delta.peg_length - delta.base_height
-    start = {"configuration": (mouth[0], mouth[1], z, *angles, 0.23), "target": hole}
+    start = {"configuration": start_configurations(Machine(), 0.002)[4], "target": 4}
     assert env.reset(options=start)[1]["distance"] < env.task.tolerance
     assert env.state["inside"].any()
     noisy = CoopInsertionEnv(sim_to_real=SimToReal(observation_noise=0.01))
