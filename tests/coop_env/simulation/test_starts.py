@@ -40,24 +40,17 @@ def test_no_start_is_ever_invalid(geometry: str) -> None:
     assert 0.1499 < max(clearances) <= 0.15 + 1e-12
 
 
-def test_stage_0_aims_at_peripheral_holes_only() -> None:
-    env = CoopInsertionEnv(stage=0)
-    env.reset(seed=0)
+@pytest.mark.parametrize(
+    ("stage", "filled", "left"), [(0, set(), {0, 1, 2, 3}), (1, {0, 3}, {1, 2, 4, 5})]
+)
+def test_a_target_is_given_or_drawn_among_the_stages_open_holes(
+    stage: int, filled: set[int], left: set[int]
+) -> None:
+    env = CoopInsertionEnv(stage=stage)
     seen = set()
-    for _ in range(100):
-        env.reset()
+    for seed in range(60):
+        env.reset(seed=seed, options={"filled": filled})
         seen.add(int(env.state["target"]))
-    assert seen == {0, 1, 2, 3}
-
-
-def test_what_is_given_is_taken_and_the_rest_is_drawn() -> None:
-    env = CoopInsertionEnv()
-    seen = set()
-    for seed in range(40):
-        env.reset(seed=seed, options={"filled": {0, 3}})
-        target = int(env.state["target"])
-        assert target not in (0, 3)
-        seen.add(target)
-    assert seen == {1, 2, 4, 5}
-    env.reset(seed=1, options={"target": np.int64(5)})
-    assert env.state["target"] == 5
+    assert seen == left
+    env.reset(seed=1, options={"target": np.int64(2)})
+    assert env.state["target"] == 2
