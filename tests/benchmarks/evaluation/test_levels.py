@@ -66,24 +66,28 @@ def test_who_sees_the_state_has_no_noise_and_who_has_two_ways_is_played_in_both(
 
 
 @pytest.mark.parametrize("method", ["rainbow", "dqn", "maskable_ppo", "greedy"])
-def test_exploring_differs_from_greedy_and_follows_from_the_seed(
+def test_rows_say_how_they_were_played_and_exploring_differs_and_follows_from_the_seed(
     method: str, preset: Preset
 ) -> None:
-    both, mine = exploring(preset, noise=[0.0]), cell(method, "printed")
+    both, mine = exploring(preset), cell(method, "uncertain")
     learns = method != "greedy"
     model = build_model(both, mine, make_training_env(both, mine)) if learns else None
     if method == "dqn":
         model.exploration_rate = 0.5  # type: ignore[union-attr]
-    one, two = (evaluate_cell(both, mine, model=model) for _ in range(2))
+    report: list[float] = []
+    one, two = (evaluate_cell(both, mine, report.append, model=model) for _ in range(2))
     for rows in (one, two):
         for row in rows:
             row.pop("plan_seconds")
     assert str(one) == str(two)
     assert len({tuple(row) for row in one}) == 1  # one header for the file of them all
-    greedy = [row["energy"] for row in one if row["acting"] == "greedy"]
-    trained = [row["energy"] for row in one if row["acting"] == "exploring"]
-    assert len(greedy) == len(trained) == 2
-    assert greedy != trained
+    played = [(row["error"], row["acting"], row["episode"]) for row in one]
+    ways = [(0.0, "greedy"), (3.0, "greedy"), (3.0, "exploring")]
+    assert played == [(*way, episode) for way in ways for episode in range(2)]
+    assert [row["energy"] for row in one[2:4]] != [row["energy"] for row in one[4:]]
+    assert 0.0 <= report[0] <= report[-1] <= 1.0
+    first = report[: len(report) // 2]
+    assert first == sorted(first)
 
 
 def test_a_script_that_explores_makes_one_move_of_twenty_at_random() -> None:
@@ -131,17 +135,6 @@ def test_training_draws_machines_unless_it_is_nominal(preset: Preset) -> None:
         assert (masks.visited, masks.refused, masks.mask_singularities) == (64, True, True)
     assert spread["uncertain"].min() > 0.0
     assert spread["uncertain_nominal"].max() == 0.0
-
-
-@pytest.mark.parametrize("method", ["rainbow", "maskable_ppo"])
-def test_rows_say_under_which_error_they_were_played(method: str, preset: Preset) -> None:
-    mine = cell(method, "uncertain")
-    model = build_model(preset, mine, make_training_env(preset, mine))
-    report: list[float] = []
-    rows = evaluate_cell(preset, mine, report.append, model=model)
-    assert [(row["error"], row["episode"]) for row in rows] == [(0, 0), (0, 1), (3, 0), (3, 1)]
-    assert report == sorted(report)
-    assert 0.0 <= report[0] <= report[-1] <= 1.0
 
 
 @pytest.mark.parametrize(
