@@ -8,9 +8,23 @@ import pytest
 from benchmarks.cli import main
 from tests.benchmarks.runs.warm import children, warm_up
 
+Command = Callable[..., str]
+
 
 @pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+def done(capsys: pytest.CaptureFixture[str]) -> Command:
+    """Runs a command that ends well; returns what it printed."""
+
+    def run(*words: str) -> str:
+        capsys.readouterr()
+        assert main([*words]) == 0, capsys.readouterr().err
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Command:
     """Runs a command that is bad input: exit code 2 and one line of error, which it returns."""
 
     def run(*words: str) -> str:

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.model_files import load_model, load_stored
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
 from sb3_rainbow import Rainbow
+from tests.benchmarks.conftest import Command
 from tests.process import ROOT
 from tests.sb3_rainbow.zoo.crafted import CALL, rewritten, tampered
 
@@ -72,12 +72,11 @@ def test_what_a_stored_policy_pickles_stays_closed(
 
 
 def test_a_strangers_model_asks_for_trust(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Command
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = tampered(POLICIES[0], tmp_path / "my.zip", "anything")
-    assert main(["evaluate", "--preset", "smoke", "--model", str(path), "--episodes", "1"]) == 2
-    error = capsys.readouterr().err
+    error = refused("evaluate", "--preset", "smoke", "--model", str(path), "--episodes", "1")
     assert "runs its author's code when it is loaded; add --trust" in error
     assert not Path("called").exists()
 

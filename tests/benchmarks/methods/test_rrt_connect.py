@@ -139,16 +139,11 @@ def test_a_failed_plan_ends_the_episode_with_its_cause() -> None:
 
 
 def test_a_plan_into_a_singularity_ends_there(planner: RRTConnect) -> None:
-    causes = set()
+    causes, roll = set(), Plan("solved", np.full(40, 6), 0.1)
     for number in range(6):
         episode = begin(number, "initial")
         # roll on until the mechanism or the limits stop it
-        roll = Plan("solved", np.full(40, 6), 0.1)
-
-        def always(env: object, roll: Plan = roll) -> Plan:
-            return roll
-
-        rrt_connect.execute(episode, always, finish=planner.plan)
+        rrt_connect.execute(episode, lambda env: roll, finish=planner.plan)
         causes.add(episode.failure)
         assert episode.over or episode.failure
     assert "singularity" in causes

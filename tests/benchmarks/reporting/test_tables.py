@@ -43,9 +43,13 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return fabricated_store.make_store(tmp_path_factory.mktemp("full"), [0, 1, 2], "paper")
 
 
+def tables_of(store: Store) -> dict[str, Table]:
+    return {table.name: table for table in build_tables(Results(store))}
+
+
 @pytest.fixture(scope="module")
 def tables(full: Store) -> dict[str, Table]:
-    return {table.name: table for table in build_tables(Results(full))}
+    return tables_of(full)
 
 
 # 9, 8 and 7 of 10 greedily, one more each as trained; the planner has one way of acting
@@ -126,9 +130,9 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
 
 
 def test_the_uncertain_machine_has_a_table_of_its_own(tmp_path: Path) -> None:
-    built = build_tables(Results(fabricated_store.make_store(tmp_path, [0], "cut")))
-    assert all(len(table.header) <= WIDEST for table in built)
-    table, board = (next(t for t in built if t.name == n) for n in ("uncertain", "leaderboard"))
+    built = tables_of(fabricated_store.make_store(tmp_path, [0], "cut"))
+    assert all(len(table.header) <= WIDEST for table in built.values())
+    table, board = built["uncertain"], built["leaderboard"]
     row = next(row for row in table.texts() if row[0] == "Rainbow DQN, uncertain")
     assert row[2] == "64 configurations, refused moves"
     shown = dict(zip(table.header, row, strict=True))
@@ -159,7 +163,7 @@ def test_each_comparison_has_the_p_of_its_own_differences(full: Store, tmp_path:
     # the others' differences are all equal, have no p and do not count
     assert [dueling.p_holm, double_q.p_holm] == pytest.approx([2 * dueling.p, double_q.p])
     assert dueling.name == "- Dueling head"
-    table = next(table for table in build_tables(Results(full)) if table.name == "significance")
+    table = tables_of(full)["significance"]
     assert any(row[1] == "- Dueling head, as trained" for row in table.texts())
 
 
@@ -212,7 +216,7 @@ def test_a_preset_of_ones_own_has_the_tables_that_it_fills(tmp_path: Path) -> No
         made = fabricated_store.make_store(tmp_path, [0], "cut", keep)
         made.folder.rename(tmp_path / learner)
         store = Store.open(tmp_path, learner)
-        built = {table.name: table for table in build_tables(Results(store))}
+        built = tables_of(store)
         assert built["performance"].title == "Performance, safe"
         assert built.keys() & {"ablation", "geometry", "design", "uncertain"} == set()
         ranked = [row[1] for row in built["leaderboard"].texts()]
@@ -252,22 +256,20 @@ def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
         return cell.track in ("", "safe") and cell.ablation == "full" and cell.method != "greedy"
 
     store = fabricated_store.make_store(tmp_path, range(5), "cut", keep)
-    built = build_tables(Results(store))
-    by_name = {table.name: table for table in built}
-    table = by_name["performance"]
+    built = tables_of(store)
+    table = built["performance"]
     rows = {row[0]: row[1:] for row in table.texts()}
     assert rows["Success rate (%)"][3] == "55.0 ± 7.1"
     assert rows["Success rate (%)"][5] == "70.0 ± 15.8 †"
     (note,) = (note for note in table.notes if note.startswith("Not complete"))
     assert "Vanilla DQN, safe 2 of 5 seeds" in note
     assert "Rainbow DQN, safe" not in note
-    assert by_name["controls"].header[1] == "Masked DQN"  # none of five seeds: its cells say so
-    assert {row[1] for row in by_name["controls"].texts()} == {"missing"}
-    assert note in by_name["leaderboard"].notes
-    board = {row[1] for row in by_name["leaderboard"].texts()}
-    assert "Greedy, safe" not in board
+    assert built["controls"].header[1] == "Masked DQN"  # none of five seeds: its cells say so
+    assert {row[1] for row in built["controls"].texts()} == {"missing"}
+    assert note in built["leaderboard"].notes
+    assert "Greedy, safe" not in {row[1] for row in built["leaderboard"].texts()}
     write_tables(store)
-    assert check_tables(store.tables, built) == []
+    assert check_tables(store.tables, [*built.values()]) == []
 
 
 def test_episodes_that_began_elsewhere_are_no_pairs(tmp_path: Path) -> None:
@@ -300,8 +302,7 @@ def test_outside_means_that_no_rounding_reconciles(low: float, width: float, pap
 
 def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0, 1, 2])
-    results = Results(store)
-    tables = {table.name: table for table in build_tables(results)}
+    results, tables = Results(store), tables_of(store)
     value = results.group("rainbow", track="safe").success()
     assert [value.mean, value.std, value.n] == pytest.approx([80.0, 10.0, 3])
     # t of 2 degrees of freedom: 4.303 times 10 / sqrt 3
@@ -322,8 +323,7 @@ def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: P
 
 def test_a_budget_below_the_papers_number_proves_nothing(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [2])  # solves 7 of 10: never at 75 %
-    table = next(table for table in build_tables(Results(store)) if table.name == "geometry")
-    cell: Any = table.rows[0][4]
+    cell: Any = tables_of(store)["geometry"].rows[0][4]
     assert cell.text() == "not reached"
     assert not cell.flagged  # the quick preset has fewer steps than the paper needs
     assert Number(cell.value, paper=f"{cell.value.low / 2:.2f}").flagged

@@ -19,11 +19,12 @@ from benchmarks.reporting.verify import check_runs, check_tables
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies import catalogue
 from benchmarks.studies.design.study import Design
+from tests.benchmarks.conftest import Command
 from tests.benchmarks.fabricated_store import make_store, write_tables
-from tests.process import tracked
+from tests.process import ROOT, tracked
 
-ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "results"
+Capture = pytest.CaptureFixture[str]
 BEGIN = "<!-- results:begin results/quick -->"
 END = "<!-- results:end -->"
 SCIENCE = "<!-- science:begin results/quick -->"
@@ -63,8 +64,8 @@ def store(copy: Path) -> Store:
     return Store.open(copy / "results", "quick")
 
 
-def words(folder: Path) -> list[str]:
-    return ["verify", "--results", str(folder / "results")]
+def words(folder: Path, verb: str = "verify") -> list[str]:
+    return [verb, "--results", str(folder / "results")]
 
 
 def learners(store: Store) -> list[RunFolder]:
@@ -84,12 +85,8 @@ def change_digit(path: Path, rng: random.Random, begin: str = "", end: str = "")
     return text[:place].count("\n") + 1
 
 
-def test_the_committed_results_are_what_their_episodes_say(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    code = main(words(ROOT))
-    out, err = capsys.readouterr()
-    assert code == 0, err
+def test_the_committed_results_are_what_their_episodes_say(done: Command) -> None:
+    out = done(*words(ROOT))
     for name, folder in catalogue.stores(RESULTS).items():
         assert f"{folder}: tables of" in out, name
     for page in ("README.md", "docs/results.md", "docs/design.md", "docs/shield.md"):
@@ -115,7 +112,7 @@ def test_one_digit_of_any_table_is_seen_and_a_file_that_nothing_makes(store: Sto
     assert "old.md is made by no table" in old
 
 
-def test_one_digit_of_a_page_is_seen(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_digit_of_a_page_is_seen(copy: Path, capsys: Capture, done: Command) -> None:
     path = copy / "docs" / "results.md"
     text = path.read_text(encoding="utf-8")
     line = change_digit(path, random.Random(1), SCIENCE)
@@ -125,7 +122,7 @@ def test_one_digit_of_a_page_is_seen(copy: Path, capsys: pytest.CaptureFixture[s
     assert "1 difference found" in err
     # what stands outside the block is free
     path.write_text(f"1 2 3\n{text}4 5 6\n", encoding="utf-8")
-    assert main(words(copy)) == 0
+    done(*words(copy))
 
 
 def test_the_designs_table_must_follow_from_its_runs(copy: Path) -> None:
@@ -213,7 +210,7 @@ def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
 
 
 def test_a_setting_that_was_changed_by_hand_is_named(
-    copy: Path, store: Store, capsys: pytest.CaptureFixture[str]
+    copy: Path, store: Store, capsys: Capture
 ) -> None:
     config = learners(store)[0].path / "config.yaml"
     text = config.read_text("utf-8")
@@ -225,7 +222,7 @@ def test_a_setting_that_was_changed_by_hand_is_named(
 
 
 def test_a_damaged_file_is_a_line_and_the_rest_is_checked(
-    copy: Path, store: Store, capsys: pytest.CaptureFixture[str]
+    copy: Path, store: Store, capsys: Capture
 ) -> None:
     results, run = copy / "results", store.completed()[-1]
     rows = run.rows("episodes").astype({"noise": object})
@@ -253,19 +250,16 @@ def test_a_damaged_file_is_a_line_and_the_rest_is_checked(
     assert "Pages: not looked at until these differences are mended" in out
 
 
-def test_a_store_of_a_preset_of_ones_own_is_named(
-    copy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_store_of_a_preset_of_ones_own_is_named(copy: Path, done: Command) -> None:
     folder = Store.open(copy / "results", "my2", create=True).folder
-    assert main(words(copy)) == 0
-    assert f"{folder}: not looked at; --preset FILE" in capsys.readouterr().out
+    assert f"{folder}: not looked at; --preset FILE" in done(*words(copy))
 
 
-def test_a_report_rewrites_the_readme(copy: Path) -> None:
+def test_a_report_rewrites_the_readme(copy: Path, done: Command) -> None:
     readme = copy / "README.md"
     before = readme.read_bytes()
     change_digit(readme, random.Random(0), BEGIN, END)
-    assert main(["report", "--results", str(copy / "results")]) == 0
+    done(*words(copy, "report"))
     assert readme.read_bytes() == before
 
 

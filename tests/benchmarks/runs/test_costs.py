@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from benchmarks.cli import main
 from benchmarks.protocol.plan import expand, settings, units_of
 from benchmarks.protocol.presets import Preset
 from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
 from benchmarks.runs.store import Store
 from benchmarks.studies.insertion import Insertion
+from tests.benchmarks.conftest import Command
 from tests.benchmarks.smoke import smoke_preset
 
 
@@ -62,15 +62,14 @@ def test_durations_are_said_as_people_say_them(seconds: float, text: str) -> Non
     assert duration(seconds) == text
 
 
-def test_plan_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_says_what_is_left(tmp_path: Path, done: Command) -> None:
     preset = make("smoke", 480)
-    assert main(["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs", "2"]) == 0
-    out = capsys.readouterr().out
+    words = ["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs"]
+    out = done(*words, "2")
     assert "5 to run" in out
     assert "with 2 processes; a guess for 5 cells" in out
     assert list(tmp_path.iterdir()) == []  # a plan writes nothing
     complete(Store.open(tmp_path, "smoke", create=True), preset, "dqn", 60.0)
-    assert main(["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs", "1"]) == 0
-    out = capsys.readouterr().out
+    out = done(*words, "1")
     assert "4 to run" in out
     assert "60 s" in out

@@ -76,24 +76,19 @@ def scratch() -> Iterator[Path]:
         yield Path(name)
 
 
-@pytest.fixture(scope="module")
-def cells(preset: Path) -> list[str]:
-    return [cell.id for cell in expand(load_preset(str(preset)))]
-
-
 def train(preset: Path, cell: str, results: Path, crash: int | None = None) -> Forked:
     results.mkdir(parents=True, exist_ok=True)
     words = ["train", "--preset", str(preset), "--results", str(results), "--cell", cell]
     return Forked(results / "log.txt", words, crash)
 
 
+Ended = dict[str, tuple[dict[str, Any], float]]  # each cell's result and duration in seconds
+
+
 @pytest.fixture(scope="module")
-def uninterrupted(
-    preset: Path, cells: list[str], tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, tuple[dict[str, Any], float]]:
-    """Each cell's result and its duration in seconds."""
+def uninterrupted(preset: Path, tmp_path_factory: pytest.TempPathFactory) -> Ended:
     ended = {}
-    for cell in cells:
+    for cell in (each.id for each in expand(load_preset(str(preset)))):
         results = tmp_path_factory.mktemp("uninterrupted")
         began = time.monotonic()
         assert train(preset, cell, results).wait() == 0, (results / "log.txt").read_text()
@@ -107,12 +102,9 @@ def newest(run: RunFolder) -> int:
 
 
 def test_kills_at_random_moments_change_nothing(
-    preset: Path,
-    cells: list[str],
-    uninterrupted: dict[str, tuple[dict[str, Any], float]],
-    scratch: Path,
+    preset: Path, uninterrupted: Ended, scratch: Path
 ) -> None:
-    rng = random.Random(0)
+    rng, cells = random.Random(0), [*uninterrupted]
     kills = inside = completed = 0
     for attempt in range(GIVE_UP):
         if kills >= KILLS and inside >= INSIDE and completed >= len(cells):
@@ -144,13 +136,9 @@ def test_kills_at_random_moments_change_nothing(
 
 
 def test_a_kill_at_any_file_operation_changes_nothing(
-    preset: Path,
-    cells: list[str],
-    uninterrupted: dict[str, tuple[dict[str, Any], float]],
-    scratch: Path,
+    preset: Path, uninterrupted: Ended, scratch: Path
 ) -> None:
-    cell = cells[0]
-    expected, _ = uninterrupted[cell]
+    cell, (expected, _) = next(iter(uninterrupted.items()))
     assert train(preset, cell, scratch / "count", crash=-1).wait() == 0
     operations = int((scratch / "count" / "log.txt.count").read_text(encoding="utf-8"))
     assert operations > 40

@@ -3,11 +3,9 @@
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,8 @@ from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.ray_backend import RayJob, run_remotely
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
+from tests.benchmarks.conftest import Command
+from tests.benchmarks.runs.warm import Forked, wait_for
 from tests.benchmarks.smoke import smoke_file
 
 pytest.importorskip("ray", reason="needs the extra 'cluster'")
@@ -68,26 +68,9 @@ def cluster() -> Iterator[Any]:
         cluster.shutdown()
 
 
-def harness(*words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "benchmarks", "run", *words],
-        # a suite in a script's background ignores Ctrl-C, and what it starts inherits that
-        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-
-
-def wait_for(condition: Callable[[], Any], process: subprocess.Popen[str]) -> Any:
-    deadline = time.monotonic() + 120
-    while not (result := condition()):
-        assert process.poll() is None, process.communicate()[0]
-        if time.monotonic() > deadline:
-            process.kill()  # or later tests meet it
-            raise AssertionError(process.communicate()[0])
-        time.sleep(0.02)
-    return result
+def harness(preset: Path, cluster: Any, results: Path, *words: str) -> Forked:
+    place = ["--preset", str(preset), "--results", str(results), "--address", cluster.address]
+    return Forked(results / "out.txt", ["run", *place, "--backend", "ray", *words])
 
 
 def worker(run: RunFolder) -> dict[str, Any]:
@@ -100,20 +83,18 @@ def worker(run: RunFolder) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 def test_a_lost_worker_and_a_lost_node_change_nothing(
     cluster: Any, preset: Path, tmp_path: Path
 ) -> None:
-    results = tmp_path / "ray"
-    place = ["--preset", str(preset), "--results"]
-    ray = ["--backend", "ray", "--address", cluster.address]
-    gpus = ["--gpus-per-run", "0.5", "--device", "cpu"]
-    process = harness(*place, str(results), *ray, *gpus)
-    runs = [Store(results, "small").run(cell) for cell in CELLS]
+    log = tmp_path / "out.txt"
+    process = harness(preset, cluster, tmp_path, "--gpus-per-run", "0.5", "--device", "cpu")
+    runs = [Store(tmp_path, "small").run(cell) for cell in CELLS]
     (second,) = cluster.worker_nodes
     raylet = second.all_processes["raylet"][0].process.pid
     workers = []
     for run in runs:
-        workers.append(wait_for(partial(worker, run), process))
+        workers.append(wait_for(partial(worker, run), log))
         # on a busy machine it would be trained before the other has begun
         os.kill(workers[-1]["run"], signal.SIGSTOP)
     on_second = [psutil.Process(result["pid"]).ppid() == raylet for result in workers]
@@ -123,8 +104,8 @@ def test_a_lost_worker_and_a_lost_node_change_nothing(
         os.kill(result["run"], signal.SIGCONT)
     os.kill(workers[on_head]["pid"], signal.SIGKILL)
     cluster.remove_node(second, allow_graceful=False)
-    out, _ = process.communicate(timeout=240)
-    assert process.returncode == 0, out
+    code, out = process.wait(240), log.read_text("utf-8")
+    assert code == 0, out
     assert "Ray: 2 nodes, 2 CPUs, 2 GPUs, networks on cpu" in out
     for cell in CELLS:
         assert f"{cell}: lost its worker on" in out
@@ -141,17 +122,17 @@ def test_a_lost_worker_and_a_lost_node_change_nothing(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 def test_ctrl_c_leaves_a_checkpoint_and_no_process(
     cluster: Any, preset: Path, tmp_path: Path
 ) -> None:
     # on the head alone: the test before has taken the second node
-    words = ["--preset", str(preset), "--results", str(tmp_path)]
-    process = harness(*words, "--backend", "ray", "--address", cluster.address)
+    process, log = harness(preset, cluster, tmp_path), tmp_path / "out.txt"
     runs = [Store(tmp_path, "small").run(cell) for cell in CELLS]
-    result = wait_for(lambda: next(filter(None, map(worker, runs)), None), process)
+    result = wait_for(lambda: next(filter(None, map(worker, runs)), None), log)
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=120)
-    assert process.returncode == 130, out
+    code, out = process.wait(120), log.read_text("utf-8")
+    assert code == 130, out
     assert "the same command resumes" in out
     assert (
         not psutil.pid_exists(result["run"]) or psutil.Process(result["run"]).status() == "zombie"
@@ -232,13 +213,13 @@ def test_a_run_that_is_lost_again_and_again_ends(losses: int, code: int, tmp_pat
     ],
 )
 def test_bad_options_are_one_error(
-    words: list[str], message: str, tmp_path: Path, refused: Callable[..., str]
+    words: list[str], message: str, tmp_path: Path, refused: Command
 ) -> None:
     assert message in refused("run", "--preset", "smoke", "--results", str(tmp_path), *words)
 
 
 def test_more_gpus_than_any_node_has_are_refused(
-    cluster: Any, tmp_path: Path, refused: Callable[..., str]
+    cluster: Any, tmp_path: Path, refused: Command
 ) -> None:
     words = ["--backend", "ray", "--address", cluster.address, "--gpus-per-run", "2"]
     error = refused("run", "--preset", "smoke", "--results", str(tmp_path), *words)
@@ -246,7 +227,7 @@ def test_more_gpus_than_any_node_has_are_refused(
 
 
 def test_without_ray_the_extra_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Command
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray.exceptions", None)
     words = ["run", "--preset", "smoke", "--results", str(tmp_path), "--backend", "ray"]

@@ -5,7 +5,6 @@ import errno
 import importlib
 import io
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -14,11 +13,10 @@ import pytest
 from benchmarks.cli import main
 from benchmarks.reporting.results import Results
 from benchmarks.runs.store import SCHEMA, Store
+from tests.benchmarks.conftest import Command
 from tests.benchmarks.runs.warm import children
 from tests.benchmarks.smoke import SMALL, preset_file, smoke_file
 
-Capture = pytest.CaptureFixture[str]
-Refused = Callable[..., str]
 RUNS = {f"{method}-optimized-safe-s0" for method in ("rainbow", "dqn", "greedy")}
 RUNS |= {f"{planner}-optimized-s0" for planner in ("rrt_connect", "optimum")}
 
@@ -71,41 +69,33 @@ def test_tensorboard_has_the_papers_curves(results: Path) -> None:
     assert {f"paper/{name}" for name in always} <= tags
 
 
-def test_a_second_call_trains_nothing_and_changes_no_result(results: Path, capsys: Capture) -> None:
-    def stamps() -> dict[Path, int]:
-        files = [p for p in results.rglob("*") if p.is_file() and "runs" in p.parts]
-        return {path: path.stat().st_mtime_ns for path in files}
-
-    # no process was started: not a file of a run is new, gone or touched
-    before = stamps()
-    tables = {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()}
-    assert main(["run", "--preset", "smoke", "--results", str(results)]) == 0
-    assert "5 runs were complete already" in capsys.readouterr().out
-    assert stamps() == before
-    assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_verify_agrees_and_a_stored_policy_is_scored(results: Path, capsys: Capture) -> None:
-    place = ["--preset", "smoke", "--results", str(results)]
-    assert main(["verify", *place]) == 0
-    capsys.readouterr()
+def test_a_second_call_trains_nothing_and_verify_agrees(results: Path, done: Command) -> None:
+    place, before = ["--preset", "smoke", "--results", str(results)], contents(results)
+    assert "5 runs were complete already" in done("run", *place)
+    assert contents(results) == before  # a run that was made again would say how long it took
+    done("verify", *place)
+
+
+def test_a_stored_policy_is_scored(results: Path, done: Command) -> None:
     policy = results / "smoke" / "runs" / "dqn-optimized-safe-s0" / "policy.zip"
     words = ["--model", str(policy), "--algorithm", "dqn", "--episodes", "1"]
-    assert main(["evaluate", *place, *words]) == 0
+    out = done("evaluate", "--preset", "smoke", "--results", str(results), *words)
     stored = pd.read_csv(policy.parent / "episodes.csv")
     first = stored[(stored["episode"] == 0) & (stored["noise"] == 0.0)].iloc[0]
-    assert f"Success rate (%) {100.0 * first['success']:.1f}" in capsys.readouterr().out
+    assert f"Success rate (%) {100.0 * first['success']:.1f}" in out
 
 
 @pytest.mark.usefixtures("forked")
 def test_what_is_stored_comes_out_again_and_what_has_no_policy_is_left_out(
-    results: Path, copied: list[str], tmp_path: Path, capsys: Capture, refused: Refused
+    results: Path, copied: list[str], tmp_path: Path, done: Command, refused: Command
 ) -> None:
-    runs = tmp_path / "smoke" / "runs"
-    files = {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()}
-    assert main(["evaluate", *copied]) == 0
-    assert "Runs whose every episode came out as stored: 5 of 5" in capsys.readouterr().out
-    assert {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()} == files
+    runs, files = tmp_path / "smoke" / "runs", contents(tmp_path / "smoke")
+    assert "Runs whose every episode came out as stored: 5 of 5" in done("evaluate", *copied)
+    assert contents(tmp_path / "smoke") == files
     # one run is changed, of one the policy is gone, one is not there
     rows = runs / "rainbow-optimized-safe-s0" / "episodes.csv"
     first = pd.read_csv(rows)
@@ -113,8 +103,7 @@ def test_what_is_stored_comes_out_again_and_what_has_no_policy_is_left_out(
     (runs / "dqn-optimized-safe-s0" / "policy.zip").unlink()
     planned = "rrt_connect-optimized-s0"
     shutil.rmtree(runs / planned)
-    assert main(["evaluate", *copied]) == 0
-    out = capsys.readouterr().out
+    out = done("evaluate", *copied)
     assert "Left out, their policy is not here: 1 runs" in out
     assert "Left out, not run yet: 1 runs" in out
     assert "Runs whose every episode came out as stored: 2 of 3" in out
@@ -123,14 +112,13 @@ def test_what_is_stored_comes_out_again_and_what_has_no_policy_is_left_out(
     # and what is complete without its policy is not run again
     shutil.copytree(results / "smoke" / "runs" / planned, runs / planned)
     rows.write_bytes(files[rows])
-    assert main(["run", *copied]) == 0
-    assert "5 runs were complete already" in capsys.readouterr().out
+    assert "5 runs were complete already" in done("run", *copied)
     (rows.parent / "policy.zip").unlink()
     assert "has no trained policy to score" in refused("evaluate", *copied)
 
 
 def test_a_policy_plays_only_under_its_own_settings(
-    results: Path, tmp_path: Path, refused: Refused
+    results: Path, tmp_path: Path, refused: Command
 ) -> None:
     changed = smoke_file(tmp_path, "smoke", track={"mask_visited": 8})
     for command in (["evaluate"], ["study", "failures"]):
@@ -139,7 +127,7 @@ def test_a_policy_plays_only_under_its_own_settings(
 
 
 def test_a_full_disk_is_one_error(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refused: Refused
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refused: Command
 ) -> None:
     def full(*args: object, **kwargs: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", "episodes.csv")
@@ -151,13 +139,11 @@ def test_a_full_disk_is_one_error(
 
 @pytest.mark.usefixtures("forked")
 def test_other_starts_are_starts_of_their_own(
-    copied: list[str], tmp_path: Path, capsys: Capture
+    copied: list[str], tmp_path: Path, done: Command
 ) -> None:
-    words = ["evaluate", *copied, "--episodes", "3"]
     seen: list[set[str]] = []
     for starts in ("1", "2"):
-        assert main([*words, "--starts", starts]) == 0
-        out = capsys.readouterr().out
+        out = done("evaluate", *copied, "--episodes", "3", "--starts", starts)
         assert "Success (%) of the played runs" in out
         folder = tmp_path / "again" / f"starts-{starts}" / "smoke" / "runs"
         runs = [pd.read_csv(path) for path in sorted(folder.glob("*/episodes.csv"))]
@@ -197,7 +183,7 @@ def test_bad_input_is_one_error_and_writes_nothing(
     message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    refused: Refused,
+    refused: Command,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
@@ -207,7 +193,7 @@ def test_bad_input_is_one_error_and_writes_nothing(
 
 
 @pytest.mark.usefixtures("forked")
-def test_teams_begin_alike_and_verify_agrees(tmp_path: Path, capsys: Capture) -> None:
+def test_teams_begin_alike_and_verify_agrees(tmp_path: Path, done: Command) -> None:
     tracks = ["in_turn", "central", "vdn", "shared_sight", "independent"]
     preset = {
         "description": "teams in seconds",
@@ -222,15 +208,15 @@ def test_teams_begin_alike_and_verify_agrees(tmp_path: Path, capsys: Capture) ->
         ],
     }
     words = ["--preset", str(preset_file(tmp_path, preset, "tiny")), "--results", str(tmp_path)]
-    assert main(["run", *words, "--jobs", "1"]) == 0
+    done("run", *words, "--jobs", "1")
     runs = Results(Store.open(tmp_path, "tiny")).all()
     assert len(runs) == 12
     assert len({tuple(run.test()["start"]) for run in runs}) == 1
-    assert main(["verify", *words]) == 0, capsys.readouterr().err
+    done("verify", *words)
 
 
 def test_a_run_made_with_other_settings_is_not_overwritten(
-    copied: list[str], tmp_path: Path, refused: Refused
+    copied: list[str], tmp_path: Path, refused: Command
 ) -> None:
     config = tmp_path / "smoke" / "runs" / "dqn-optimized-safe-s0" / "config.yaml"
     config.write_text(config.read_text("utf-8").replace("gamma: 0.93", "gamma: 0.5"), "utf-8")

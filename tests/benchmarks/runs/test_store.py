@@ -3,13 +3,13 @@
 import math
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.store import SCHEMA, RunFolder, Store, write_atomic, write_text
+from tests.benchmarks.conftest import Command
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_progress_is_not_worth_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize("marker", ['{"schema": 999}', "{}", "not json"])
 def test_another_schema_is_refused_and_left_alone(
-    tmp_path: Path, marker: str, refused: Callable[..., str]
+    tmp_path: Path, marker: str, refused: Command
 ) -> None:
     path = tmp_path / "smoke" / "store.json"
     path.parent.mkdir()

@@ -7,8 +7,8 @@ import os
 import signal
 import subprocess
 import sys
-import traceback
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import forkserver, get_context
 from pathlib import Path
@@ -20,11 +20,10 @@ OPERATIONS = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree"}
 
 
 class FileOperations:
-    """Counts operations that change files below a folder, and kills the process at one of them."""
+    """Counts operations that change files of runs, and kills the process at one of them."""
 
-    def __init__(self, below: str, crash: int) -> None:
-        self.below, self.crash = below, crash
-        self.count = 0
+    def __init__(self, crash: int) -> None:
+        self.crash, self.count = crash, 0
 
     def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
         if event == "open":
@@ -34,7 +33,7 @@ class FileOperations:
             path, writes = arguments[0], True
         else:
             return
-        if writes and isinstance(path, (str, os.PathLike)) and self.below in os.fspath(path):
+        if writes and isinstance(path, (str, os.PathLike)) and "/runs/" in os.fspath(path):
             if self.count == self.crash:
                 os.kill(os.getpid(), signal.SIGKILL)
             self.count += 1
@@ -48,26 +47,18 @@ def run(argv: Sequence[str], log: str, crash: int | None) -> None:
     """
     from benchmarks.cli import main
 
-    handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    os.dup2(handle, 1)
-    os.dup2(handle, 2)
+    with open(log, "ab") as stream:
+        os.dup2(stream.fileno(), 1)
+        os.dup2(stream.fileno(), 2)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a run before may have left its own
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    code = 1
-    try:
-        if crash is None:
-            code = main(argv)
-        else:
-            operations = FileOperations(f"{os.sep}runs{os.sep}", crash)
-            sys.addaudithook(operations)
-            code = main(argv)
-            Path(f"{log}.count").write_text(str(operations.count), encoding="utf-8")
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+    if crash is None:
+        sys.exit(main(argv))
+    operations = FileOperations(crash)
+    sys.addaudithook(operations)
+    code = main(argv)
+    Path(f"{log}.count").write_text(str(operations.count), encoding="utf-8")
+    sys.exit(code)
 
 
 class Forked:
@@ -77,6 +68,7 @@ class Forked:
         arguments = (words, str(log), crash)
         self.process = get_context("forkserver").Process(target=run, args=arguments, daemon=True)
         self.process.start()
+        self.kill = self.process.kill
 
     def poll(self) -> int | None:
         return self.process.exitcode
@@ -85,14 +77,20 @@ class Forked:
         with suppress(ProcessLookupError):  # it has ended
             os.kill(int(str(self.process.pid)), number)
 
-    def kill(self) -> None:
-        self.process.kill()
-
     def wait(self, seconds: float = 250.0) -> int:
         self.process.join(seconds)
         if (code := self.process.exitcode) is None:
             raise subprocess.TimeoutExpired("fork", seconds)
         return code
+
+
+def wait_for(condition: Callable[[], Any], log: Path) -> Any:
+    """What a condition gives once it holds; a process writes the log meanwhile."""
+    deadline = time.monotonic() + 120.0
+    while not (result := condition()):
+        assert time.monotonic() < deadline, log.read_text(encoding="utf-8")
+        time.sleep(0.02)
+    return result
 
 
 def warm_up() -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.cli import main
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.scripts import SCRIPTS, Simulator
 from benchmarks.protocol.plan import expand
@@ -20,6 +19,7 @@ from benchmarks.runs.store import Store
 from benchmarks.studies import audit, failures
 from benchmarks.studies.insertion import Insertion
 from coop_env.env import CoopInsertionEnv
+from tests.benchmarks.conftest import Command
 
 
 def test_the_best_cycle_is_the_best_of_all() -> None:
@@ -69,27 +69,23 @@ def test_each_reward_is_played_once() -> None:
     assert list(audit.of_each_reward(load_preset("cut")).tracks) == ["printed", "reward", "safe"]
 
 
-def test_both_commands_write_what_they_say(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_both_commands_write_what_they_say(tmp_path: Path, done: Command, refused: Command) -> None:
     preset = load_preset("smoke")
     store = Store.open(tmp_path, "smoke", create=True)
-    words = ["--preset", "smoke", "--results", str(tmp_path)]
-    assert main(["study", "audit", *words, "--starts", "1"]) == 0
+    place = ["--preset", "smoke", "--results", str(tmp_path)]
+    audits, fails = (["study", name, *place] for name in ("audit", "failures"))
+    done(*audits, "--starts", "1")
     assert not (tmp_path / "audit" / "learned.csv").exists()
-    assert main(["study", "failures", *words]) == 2
-    assert "no stored policy of rainbow, track safe" in capsys.readouterr().err
-    assert main(["study", "failures", *words, "--track", "nosuch"]) == 2
-    assert "unknown track 'nosuch'; known: safe" in capsys.readouterr().err
+    assert "no stored policy of rainbow, track safe" in refused(*fails)
+    assert "unknown track 'nosuch'; known: safe" in refused(*fails, "--track", "nosuch")
     assert run_cell(Insertion(preset), Insertion(preset).find("rainbow-optimized-safe-s0"), store)
-    assert main(["study", "failures", *words]) == 0
-    folder = store.folder / "failures"
-    rows = pd.read_csv(folder / "rainbow-safe.csv")
+    done(*fails)
+    rows = pd.read_csv(store.folder / "failures" / "rainbow-safe.csv")
     assert len(rows) == preset.evaluation.episodes
     assert set(rows.loc[~rows["success"].astype(bool), "cause"]) <= set(failures.CAUSES)
     assert rows["acting"].isna().all()  # no training episode ended within so few steps
     assert "exploration" not in failures.summary(rows)
-    assert main(["study", "audit", *words, "--starts", "1"]) == 0
+    done(*audits, "--starts", "1")
     learned = pd.read_csv(tmp_path / "audit" / "learned.csv")
     assert learned["method"].tolist() == ["rainbow"]
     assert audit.Audit.problems(tmp_path) == []

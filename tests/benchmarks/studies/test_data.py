@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,11 @@ import pytest
 from benchmarks.cli import main as command
 from benchmarks.protocol.seeding import derive
 from benchmarks.studies import data
+from tests.benchmarks.conftest import Command
+from tests.process import ROOT
 
 minari = pytest.importorskip("minari", reason="Minari is not installed (extra data)")
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
-ROOT = Path(__file__).resolve().parents[3]
 STEPS = 150
 NAMES = [recipe.name for contact in (False, True) for recipe in data.recipes(STEPS, contact)]
 
@@ -72,8 +72,7 @@ def test_what_is_there_is_kept_and_what_is_missing_made(results: Path, tmp_path:
     root = again / "data" / "coop-insertion"
     shutil.rmtree(root / "random-v0")
     before = {path: path.stat().st_mtime_ns for path in root.rglob("*.hdf5")}
-    words = ["study", "data", "--results", str(again)]
-    assert command([*words, "--steps", str(STEPS)]) == 0
+    assert command(["study", "data", "--results", str(again), "--steps", str(STEPS)]) == 0
     after = {path: path.stat().st_mtime_ns for path in root.rglob("*.hdf5")}
     assert before.items() < after.items()
     assert {path.parts[-3] for path in after.keys() - before.keys()} == {"random-v0"}
@@ -81,7 +80,7 @@ def test_what_is_there_is_kept_and_what_is_missing_made(results: Path, tmp_path:
     assert not list((again / "data").glob(".*"))  # nothing half done is left
 
 
-def test_a_dataset_of_another_recipe_is_refused(results: Path, refused: Callable[..., str]) -> None:
+def test_a_dataset_of_another_recipe_is_refused(results: Path, refused: Command) -> None:
     words = ("study", "data", "--results", str(results), "--steps", "7")
     assert "optimum-small-v0 was made by" in refused(*words)
 

@@ -33,7 +33,9 @@ from benchmarks.studies.scoring import entries
 from benchmarks.studies.scoring.entries import checked
 from coop_env.env import CoopInsertionEnv
 from tests.benchmarks import fabricated_store
+from tests.benchmarks.conftest import Command
 from tests.benchmarks.smoke import smoke_file
+from tests.process import ROOT
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 16, "batch_size": 16},
@@ -46,6 +48,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 CLASSES = algorithms()
+Train = Callable[..., Path]
 
 
 def make_env(**arguments: Any) -> CoopInsertionEnv:
@@ -53,7 +56,7 @@ def make_env(**arguments: Any) -> CoopInsertionEnv:
 
 
 @pytest.fixture(scope="module")
-def train(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+def train(tmp_path_factory: pytest.TempPathFactory) -> Train:
     """A model trained for a few steps, saved; each once."""
     folder = tmp_path_factory.mktemp("models")
 
@@ -73,22 +76,17 @@ def board(results: Path) -> pd.DataFrame:
     return pd.read_csv(path, dtype=str).set_index("Method")
 
 
-def command(results: Path, *words: str) -> list[str]:
+def command(results: Path, *words: str | Path) -> list[str]:
     trust = ["--trust"] if "--model" in words else []
-    return ["evaluate", "--preset", "smoke", "--results", str(results), *words, *trust]
-
-
-def evaluate(results: Path, *words: str) -> int:
-    return main(command(results, *words))
+    return ["evaluate", "--preset", "smoke", "--results", *map(str, [results, *words, *trust])]
 
 
 @pytest.mark.parametrize("name", ["ppo", "maskable_ppo"])
 def test_a_model_joins_the_leaderboard_with_one_command(
-    name: str, train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, train: Train, tmp_path: Path, done: Command
 ) -> None:
     path = train(name)
-    assert evaluate(tmp_path, "--model", str(path), "--name", f"my-{name}") == 0
-    out = capsys.readouterr().out
+    out = done(*command(tmp_path, "--model", path, "--name", f"my-{name}"))
     assert f"my-{name}" in out
     assert "leaderboard.md" in out
     row = board(tmp_path).loc[f"my-{name}"]
@@ -109,10 +107,10 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     assert noisy["moves"].tolist() == [row["moves"] for row in expected]
     assert noisy["energy"].tolist() == pytest.approx([row["energy"] for row in expected], rel=1e-6)
     assert check_runs(store) == []
-    assert main(["verify", "--preset", "smoke", "--results", str(tmp_path)]) == 0
+    done("verify", "--preset", "smoke", "--results", str(tmp_path))
 
 
-def test_masks_go_to_who_knows_them(train: Callable[..., Path]) -> None:
+def test_masks_go_to_who_knows_them(train: Train) -> None:
     observations = np.full((1, 12), 0.5, dtype=np.float32)
     for name in ("maskable_ppo", "rainbow"):
         act = model_policy(CLASSES[name].load(train(name), device="cpu"))
@@ -124,7 +122,7 @@ def test_masks_go_to_who_knows_them(train: Callable[..., Path]) -> None:
 
 
 @pytest.mark.parametrize("name", ["dqn", "qrdqn"])
-def test_episodes_explore_each_for_itself(name: str, train: Callable[..., Path]) -> None:
+def test_episodes_explore_each_for_itself(name: str, train: Train) -> None:
     model = CLASSES[name].load(train(name), device="cpu")
     model.exploration_rate = 0.5
     masks = np.ones((100, 12), dtype=np.bool_)
@@ -136,28 +134,25 @@ def test_episodes_explore_each_for_itself(name: str, train: Callable[..., Path])
 
 
 @pytest.mark.parametrize("name", sorted(SETTINGS))
-def test_the_algorithm_is_read_from_the_file(name: str, train: Callable[..., Path]) -> None:
+def test_the_algorithm_is_read_from_the_file(name: str, train: Train) -> None:
     assert detect_algorithm(train(name)) == name
 
 
 def test_one_model_per_seed_and_a_second_call_scores_nothing(
-    train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    refused: Callable[..., str],
-) -> None:  # fmt: skip
+    train: Train, tmp_path: Path, done: Command, refused: Command
+) -> None:
     tests = {"episodes": 1, "noise": [0.0]}
     preset = smoke_file(tmp_path, "two", seeds=[3, 4], evaluation=tests)
     files = [str(train("ppo", 0)), str(train("ppo", 1))]
     words = ["evaluate", "--preset", str(preset), "--results", str(tmp_path), "--name", "two"]
     words.append("--trust")
-    assert main([*words, "--model", *files]) == 0
+    done(*words, "--model", *files)
     store = Store.open(tmp_path, "two")
     assert [entry.id for entry in store.entered()] == ["two-optimized-s3", "two-optimized-s4"]
     digests = {entry.config()["entry"]["sha256"] for entry in store.entered()}
     assert len(digests) == 2
     before = [(entry.path / "meta.json").read_bytes() for entry in store.entered()]
-    capsys.readouterr()
-    assert main([*words, "--model", *files]) == 0
-    assert "2 of 2 seeds were scored already" in capsys.readouterr().out
+    assert "2 of 2 seeds were scored already" in done(*words, "--model", *files)
     assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
     # another model under the same name: refused, until it is said
     assert "choose another --name, or --replace it" in refused(*words, "--model", files[1])
@@ -165,26 +160,23 @@ def test_one_model_per_seed_and_a_second_call_scores_nothing(
     with mock.patch.object(entries, "_score", **second), pytest.raises(MemoryError):
         main([*words, "--model", files[1], "--replace"])
     assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
-    assert main([*words, "--model", files[1], "--replace"]) == 0
+    done(*words, "--model", files[1], "--replace")
     assert not (store.folder / "replacing").exists()
     assert "models: 1)" in (store.tables / "leaderboard.md").read_text(encoding="utf-8")
     assert "3 models for 2 seeds" in refused(*words, "--model", *files, files[0])
 
 
-def test_another_observation_is_found_out(train: Callable[..., Path], tmp_path: Path) -> None:
+def test_another_observation_is_found_out(train: Train, tmp_path: Path, done: Command) -> None:
     path = train("dqn", observation="markov")
-    assert evaluate(tmp_path, "--model", str(path), "--mask-singularities") == 0
+    done(*command(tmp_path, "--model", path, "--mask-singularities"))
     (entry,) = Store.open(tmp_path, "smoke").entered()
     assert entry.config()["entry"]["observation"] == "markov"
     assert entry.config()["entry"]["mask_singularities"] is True
     assert path.stem in board(tmp_path).index
 
 
-def test_a_glance_stores_nothing(
-    train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert evaluate(tmp_path, "--model", str(train("ppo")), "--episodes", "1") == 0
-    out = capsys.readouterr().out
+def test_a_glance_stores_nothing(train: Train, tmp_path: Path, done: Command) -> None:
+    out = done(*command(tmp_path, "--model", train("ppo"), "--episodes", "1"))
     assert "seed 0, noise 0.01: Success rate (%)" in out
     assert "Nothing was stored" in out
     assert list(tmp_path.iterdir()) == []
@@ -227,17 +219,15 @@ def planners(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_planner_joins_too_and_equals_the_harness_s_own(planners: Path) -> None:
-    assert evaluate(planners, "--planner", "my_planner:moves", "--name", "mine") == 0
-    assert evaluate(planners, "--planner", "my_planner:plan", "--name", "mine-plan") == 0
-    assert evaluate(planners, "--planner", "optimum", "--name", "again") == 0
+def test_a_planner_joins_too_and_equals_the_harness_s_own(planners: Path, done: Command) -> None:
+    given = {"mine": "my_planner:moves", "mine-plan": "my_planner:plan", "again": "optimum"}
+    for name, planner in given.items():
+        done(*command(planners, "--planner", planner, "--name", name))
     store = Store.open(planners, "smoke")
-    rows = {
-        entry.config()["cell"]["method"]: entry.rows("episodes").drop(columns="plan_seconds")
-        for entry in store.entered()
-    }
-    for name in ("mine", "mine-plan"):
-        pd.testing.assert_frame_equal(rows[name], rows["again"])
+    rows = [entry.rows("episodes").drop(columns="plan_seconds") for entry in store.entered()]
+    assert len(rows) == 3
+    for other in rows[1:]:
+        pd.testing.assert_frame_equal(other, rows[0])
     table = board(planners)
     assert table.loc["mine", "Success (%)"] == "100.0"
     assert check_runs(store) == []
@@ -264,25 +254,25 @@ def test_moves_past_the_end_are_not_made() -> None:
     ],
 )
 def test_a_planner_that_does_wrong_is_one_error(
-    words: str, message: str, planners: Path, refused: Callable[..., str]
+    words: str, message: str, planners: Path, done: Command, refused: Command
 ) -> None:
     given = ["--planner", *f"my_planner:{words}".split(), "--name", "wrong"]
     assert message in refused(*command(planners, *given))
     assert not list(planners.rglob("meta.json"))
     # and its name is free
-    assert evaluate(planners, "--planner", "my_planner:moves", "--name", "wrong") == 0
+    done(*command(planners, "--planner", "my_planner:moves", "--name", "wrong"))
 
 
 def test_a_planner_that_was_edited_is_another_one(
-    planners: Path, refused: Callable[..., str]
+    planners: Path, done: Command, refused: Command
 ) -> None:
-    words = ["--planner", "my_planner:moves", "--name", "ppo_mine"]  # begins like a learner
-    assert evaluate(planners, *words) == 0
+    words = command(planners, "--planner", "my_planner:moves", "--name", "ppo_mine")
+    done(*words)  # its name begins like a learner's
     assert check_runs(Store.open(planners, "smoke")) == []
     with (planners / "my_planner.py").open("a", encoding="utf-8") as stream:
         stream.write("# better\n")
-    assert "--replace it" in refused(*command(planners, *words))
-    assert evaluate(planners, *words, "--replace") == 0
+    assert "--replace it" in refused(*words)
+    done(*words, "--replace")
 
 
 @pytest.mark.parametrize(
@@ -294,23 +284,20 @@ def test_a_planner_that_was_edited_is_another_one(
     ],
 )
 def test_wrong_spaces_are_one_error(
-    observation: spaces.Space[Any], action: spaces.Space[Any], message: str, tmp_path: Path,
-    refused: Callable[..., str],
-) -> None:  # fmt: skip
+    observation: Any, action: Any, message: str, tmp_path: Path, refused: Command
+) -> None:
     path, env = tmp_path / "model.zip", make_env()
-    env.observation_space, env.action_space = observation, action  # type: ignore[assignment]
+    env.observation_space, env.action_space = observation, action
     stable_baselines3.PPO("MlpPolicy", env, device="cpu").save(path)
-    assert message in refused(*command(tmp_path / "results", "--model", str(path)))
+    assert message in refused(*command(tmp_path / "results", "--model", path))
     assert not (tmp_path / "results").exists()
 
 
-def test_wrong_files_are_one_error(
-    train: Callable[..., Path], tmp_path: Path, refused: Callable[..., str]
-) -> None:
+def test_wrong_files_are_one_error(train: Train, tmp_path: Path, refused: Command) -> None:
     good = train("ppo")
 
     def error_of(path: Path, *words: str) -> str:
-        return refused(*command(tmp_path / "results", "--model", str(path), *words))
+        return refused(*command(tmp_path / "results", "--model", path, *words))
 
     assert "is missing; give a .zip" in error_of(tmp_path / "none.zip")
     text = tmp_path / "text.zip"
@@ -338,12 +325,12 @@ def test_wrong_files_are_one_error(
 
 
 def test_an_entry_leaves_the_presets_own_tables_alone(
-    train: Callable[..., Path], tmp_path: Path
+    train: Train, tmp_path: Path, done: Command
 ) -> None:
     store = fabricated_store.make_store(tmp_path, [0], "smoke")
     fabricated_store.write_tables(store)
     before = {path.name: path.read_bytes() for path in store.tables.iterdir()}
-    assert evaluate(tmp_path, "--model", str(train("ppo")), "--name", "mine") == 0
+    done(*command(tmp_path, "--model", train("ppo"), "--name", "mine"))
     after = {path.name: path.read_bytes() for path in store.tables.iterdir()}
     changed = {name for name in after if after[name] != before.get(name)}
     assert changed == {f"leaderboard{suffix}" for suffix in (".csv", ".md", ".tex")}
@@ -354,14 +341,15 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
     assert ranks == ["-", *[str(rank) for rank in range(1, len(ranks))]]
 
 
-def test_the_documented_study_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = Path(__file__).resolve().parents[3] / "docs" / "own_method.md"
-    section = page.read_text(encoding="utf-8").split("## A study")[1]
+def test_the_documented_study_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: Command
+) -> None:
+    section = (ROOT / "docs" / "own_method.md").read_text("utf-8").split("## A study")[1]
     code = section.split("```python\n")[1].split("```")[0]
     (command,) = (line for line in section.splitlines() if line.startswith("    python -m"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_study.py").write_text(code, encoding="utf-8")
-    assert main(command.split()[3:]) == 0
+    done(*command.split()[3:])
     stored = json.loads((tmp_path / "results" / "lengths" / "lengths.json").read_text("utf-8"))
     assert stored["command"] == command.strip()
     assert set(stored["parts"]) == {"initial", "optimized"}

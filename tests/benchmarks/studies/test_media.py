@@ -14,12 +14,13 @@ from benchmarks.studies import media
 from benchmarks.studies.base import episode
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.viewer import Act, Viewer
+from tests.benchmarks.conftest import Command
 
 SIZE = (160, 128)
 
 
 def test_two_files_of_one_solved_episode_are_the_same_for_the_same_seed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, done: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in {"SCENE_SIZE": SIZE, "GIF_SIZE": SIZE, "GIF_EVERY": 40}.items():
         monkeypatch.setattr(media, name, value)
@@ -27,9 +28,7 @@ def test_two_files_of_one_solved_episode_are_the_same_for_the_same_seed(
     out.mkdir(parents=True)
     (out / "scene.png").write_bytes(b"old")
     for folder in (out, again):
-        words = ["--results", str(folder.parent), "--seed", "3"]
-        assert main(["study", "media", *words]) == 0
-        assert str(folder) in capsys.readouterr().out
+        assert str(folder) in done("study", "media", "--results", str(folder.parent), "--seed", "3")
     assert sorted(path.name for path in out.iterdir()) == ["episode.gif", "scene.png"]
     with Image.open(out / "scene.png") as picture:
         assert picture.size == SIZE

@@ -17,8 +17,9 @@ from benchmarks.runs.store import Store
 from benchmarks.studies.catalogue import stores
 from benchmarks.studies.classic.report import build_tables, pictures
 from benchmarks.studies.classic.results import SuiteResults, student
+from tests.process import ROOT
 
-STORE = Store(Path(__file__).resolve().parents[4] / "results" / "classic", "control")
+STORE = Store(ROOT / "results" / "classic", "control")
 
 
 @pytest.fixture(scope="module")

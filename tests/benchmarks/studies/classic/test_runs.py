@@ -13,7 +13,6 @@ import yaml
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.protocol.plan import expand, of_task, settings
@@ -25,6 +24,7 @@ from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.train import build_model, evaluate, run_learner
 from sb3_rainbow import Rainbow
+from tests.benchmarks.conftest import Command
 from tests.benchmarks.smoke import preset_file, stop_after
 
 pytest.importorskip("minatar", reason="needs the extra 'classic'")
@@ -66,7 +66,7 @@ def test_a_run_that_was_stopped_twice_is_the_run_that_was_not(
 
 
 def test_box2d_goes_on_with_other_episodes_than_those_of_the_beginning(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    preset: SuitePreset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     starts: list[Any] = []
     reset = DummyVecEnv.reset
@@ -77,14 +77,12 @@ def test_box2d_goes_on_with_other_episodes_than_those_of_the_beginning(
 
     monkeypatch.setattr(DummyVecEnv, "reset", noted)
     short = {"learning_starts": 50, "policy_kwargs": {"net_arch": [16]}, "train_freq": 4}
-    lander = {
-        "timesteps": 400,
-        "eval_every": 400,
-        "eval_episodes": 1,
-        "methods": dict.fromkeys(("rainbow", "dqn", "qrdqn"), short),
-    }
-    path = tiny_file(tmp_path, tasks={"lunarlander": lander})
-    preset, folder = load_suite(str(path)), RunFolder(tmp_path / "run")
+    lander = dataclasses.replace(
+        load_suite("control").tasks["lunarlander"],
+        timesteps=400, eval_every=400, eval_episodes=1, methods={"dqn": short},
+    )  # fmt: skip
+    preset = dataclasses.replace(preset, tasks={"lunarlander": lander}, methods=["dqn"])
+    folder = RunFolder(tmp_path / "run")
     cell = of_task("dqn", "lunarlander", 0)
     assert run_learner(preset, cell, folder, stop_after(40)) is None
     summary: Any = run_learner(preset, cell, folder)
@@ -150,9 +148,7 @@ def test_evaluation_plays_each_seed_as_an_episode_of_its_own(preset: SuitePreset
     assert evaluate(model_policy(model), task, seeds) == expected
 
 
-def test_a_run_is_stored_planned_and_reported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_is_stored_planned_and_reported(tmp_path: Path, done: Command) -> None:
     tasks = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))["tasks"]
     few = {"masked_identity": tasks["masked_identity"]}
     path = tiny_file(tmp_path, methods=["rainbow"], tasks=few)
@@ -160,8 +156,8 @@ def test_a_run_is_stored_planned_and_reported(
     store = one.open_store(tmp_path / "results", create=True)
     assert run_cell(one, one.find("masked_identity-rainbow-s0"), store)
     words = ["--preset", str(path), "--results", str(tmp_path / "results")]
-    assert main(["tables", *words]) == main(["figures", *words]) == 0
-    assert "Masked identity" in capsys.readouterr().out
+    assert "Masked identity" in done("tables", *words)
+    done("figures", *words)
     folder = tmp_path / "results" / "classic" / "changed"
     assert (folder / "tables" / "scores.csv").is_file()
     assert (folder / "figures" / "curves.png").read_bytes()[:4] == b"\x89PNG"
@@ -169,8 +165,7 @@ def test_a_run_is_stored_planned_and_reported(
     assert meta["training"]["timesteps"] == 300
     assert "sb3-contrib" in meta["versions"]
     assert sum(p.stat().st_size for p in (folder / "runs").rglob("*.*")) < 20_000
-    assert main(["plan", *words]) == 0
-    report = capsys.readouterr().out
+    report = done("plan", *words)
     assert "3 cells of preset 'changed'" in report
     assert ", 2 to run" in report
 

@@ -15,8 +15,8 @@ from benchmarks.protocol import paper_values
 from benchmarks.studies.design import analyses as design_study
 from benchmarks.studies.design import study
 from benchmarks.studies.design.analyses import DesignStore
+from tests.process import ROOT
 
-ROOT = Path(__file__).resolve().parents[4]
 STORED = DesignStore(ROOT / "results")
 
 
