@@ -1,7 +1,6 @@
-"""Figures of a fabricated store: which there are, what they say, and what they cost."""
+"""Figures of a fabricated store: which there are, and what they say."""
 
 import io
-import resource
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,8 @@ from benchmarks.reporting.figures.style import canvas, flat_png
 from benchmarks.reporting.results import Results
 from benchmarks.runs.store import Store
 from tests.benchmarks import fabricated_store
-from tests.process import python
+from tests.process import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[3]
 PAPER_FIGURES = {
     *("cumulative_reward", "exploration", "holes", "success", "max_q", "loss", "duration"),
 }
@@ -54,7 +52,7 @@ def test_a_picture_with_nothing_to_compare_is_not_drawn(tmp_path: Path) -> None:
     assert not {name for name in names if "ablation" in name}
 
 
-def test_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:
+def test_figures_need_no_torch(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, range(5))
     code = (
         "import sys, benchmarks.reporting.verify, benchmarks.reporting.science;"
@@ -64,12 +62,8 @@ def test_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:
         "heavy = {'torch', 'stable_baselines3', 'sb3_contrib', 'tensorboard'};"
         "print(sorted(heavy & set(sys.modules)))"
     )
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = python("-c", code, str(tmp_path), cwd=ROOT)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert done.stdout.strip().endswith("\n[]")
-    # of one core: what else the machine does is not ours
-    assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 60
     result = {picture.name: picture for picture in pictures(Results(store))}
     assert {path.stem for path in store.figures.iterdir()} == set(result)
     assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(result)

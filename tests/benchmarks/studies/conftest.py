@@ -41,6 +41,10 @@ class Site:
         assert not self.differs(study)
         self.page.write_text(page.replace(word, "other"), encoding="utf-8")
         assert self.differs(study)
+        path.write_text(text.replace(word, "other", 1), encoding="utf-8")
+        (problem,) = study.problems(self.results)
+        assert problem.startswith(f"{path} differs from the data in {path.parent} (line ")
+        path.write_text(text, encoding="utf-8")
         if issubclass(study, Measured):  # a file that was cut off is a sentence, too
             stored = self.results / study.file
             whole = stored.read_text("utf-8")

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from benchmarks.studies import speed
 from benchmarks.studies.base import Measured
 from benchmarks.studies.speed import in_turns, measure_updates
 from sb3_rainbow import Rainbow
+from tests.benchmarks.conftest import Command
 
 
 def test_the_command_writes_what_it_prints(site: Any) -> None:
@@ -85,6 +87,24 @@ def test_a_study_says_before_it_measures_what_it_lacks(tmp_path: Path) -> None:
     kind = type("Nameless", (Nameless,), {"to_markdown": staticmethod(str)})
     with pytest.raises(BenchmarkError, match="Nameless needs file"):
         kind(given)
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "extra"),
+    [
+        *((name, "mujoco", "physics") for name in ("contact", "physics", "transfer")),
+        ("codesign", "optuna", "tune"),
+        ("data", "minari", "data"),
+        ("trajectory", "ruckig", "trajectory"),
+    ],
+)
+def test_without_a_package_that_a_study_needs_its_extra_is_named(
+    name: str, module: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    refused: Command,
+) -> None:  # fmt: skip
+    monkeypatch.setitem(sys.modules, module, None)
+    assert f"sb3-rainbow-coop[{extra}]" in refused("study", name, "--results", str(tmp_path))
+    assert not list(tmp_path.iterdir())
 
 
 class Counted(Measured):

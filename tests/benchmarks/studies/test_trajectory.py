@@ -1,7 +1,5 @@
 """``study trajectory`` exports an episode, measures many, and can be checked."""
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +12,21 @@ pytest.importorskip("ruckig", reason="ruckig is not installed (extra trajectory)
 from benchmarks.cli import main as command
 from benchmarks.studies import trajectory
 from benchmarks.studies.trajectory import TrajectoryStudy
+from tests.benchmarks.conftest import Command
+from tests.process import ROOT
 
-ROOT = Path(__file__).resolve().parents[3]
 MODEL = ROOT / "results" / trajectory.MODEL
 
 
 @pytest.mark.parametrize("words", [["--blend"], ["--model", str(MODEL)]])
-def test_one_episode_is_exported(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_episode_is_exported(words: list[str], tmp_path: Path, done: Command) -> None:
     folder = tmp_path / "episode"
-    assert command(["study", "trajectory", "--export", str(folder), "--start", "0", *words]) == 0
+    out = done("study", "trajectory", "--export", str(folder), "--start", "0", *words)
     rows = pd.read_csv(folder / "trajectory.csv")
     text = (folder / "joint_trajectory.yaml").read_text("utf-8")
     assert text.count("time_from_start:") == len(rows)
     assert (folder / "trajectory.png").stat().st_size > 0
-    assert f"{rows['time'].iloc[-1]:.2f} s in " in capsys.readouterr().out
+    assert f"{rows['time'].iloc[-1]:.2f} s in " in out
 
 
 def test_the_tables_follow_from_the_rows(site: Any) -> None:
@@ -47,12 +44,3 @@ def test_the_tables_follow_from_the_rows(site: Any) -> None:
     pairs = done.pivot(index=["method", "start"], columns="kind", values="seconds_first")
     assert (pairs["blended"] <= pairs["stop-and-go"] + 1e-9).all()
     assert (done["seconds_first"] <= done["seconds"] + 1e-9).all()
-
-
-def test_what_cannot_be_exported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
-) -> None:
-    words = ("study", "trajectory", "--export", str(tmp_path / "e"))
-    monkeypatch.setitem(sys.modules, "ruckig", None)
-    assert "sb3-rainbow-coop[trajectory]" in refused(*words)
-    assert not (tmp_path / "e").exists()
