@@ -11,8 +11,7 @@ import numba
 import pytest
 from numba.core import event
 
-import sb3_rainbow
-from coop_env import compilation
+import cached_njit
 from coop_env.compilation import njit
 from tests.process import ROOT, python
 
@@ -141,15 +140,8 @@ def test_a_kernel_compiles_once_for_all_constants_that_others_pass_to_it() -> No
     assert compiled(3.0, 2) == 6.0  # and from Python
 
 
-def test_both_packages_hold_the_same_file() -> None:
-    """Neither may import the other; what else is here looks at one of them."""
-    other = ROOT / "sb3_rainbow" / "replay" / "compilation.py"
-    assert Path(compilation.__file__).read_bytes() == other.read_bytes()
-    assert sb3_rainbow._KERNELS
-
-
 def test_what_kernels_inline_is_looked_at_for_changes_too() -> None:
     """An intrinsic lives on in its callers' caches as a kernel does."""
     sources = ROOT / "coop_env" / "simulation"
-    assert compilation._newest_kernel(sources, "task.py") > 0.0
-    assert compilation._newest_kernel(sources, "insertion_task.py") == 0.0
+    assert cached_njit._newest_kernel(sources, "task.py") > 0.0
+    assert cached_njit._newest_kernel(sources, "insertion_task.py") == 0.0

@@ -20,7 +20,7 @@ from benchmarks.runs.backends import spawn
 from tests.process import ROOT, python
 from tests.test_docs import python_blocks
 
-SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE")
+SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE", "cached_njit.py")
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 WITHOUT_THEM = """
@@ -154,7 +154,7 @@ def test_a_run_finds_the_harness_from_any_folder(
     assert "usage: python -m benchmarks" in log.read_text(encoding="utf-8")
 
 
-def test_the_wheel_holds_the_two_packages(tmp_path: Path) -> None:
+def test_the_wheel_holds_the_two_packages_and_what_both_import(tmp_path: Path) -> None:
     """Built from a copy: a build leaves folders behind, and takes in what an earlier one left."""
     sources, out = tmp_path / "sources", tmp_path / "dist"
     for name in PACKAGES:
@@ -167,7 +167,7 @@ def test_the_wheel_holds_the_two_packages(tmp_path: Path) -> None:
     python("-m", *build, *options)
     (path,) = out.glob("*.whl")
     names = zipfile.ZipFile(path).namelist()
-    assert {name for name in names if ".dist-info" not in name} == {
+    assert {name for name in names if ".dist-info" not in name} == {"cached_njit.py"} | {
         str(path.relative_to(ROOT))
         for package in ("sb3_rainbow", "coop_env")
         for path in (ROOT / package).rglob("*")

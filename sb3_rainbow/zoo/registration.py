@@ -30,7 +30,7 @@ from sb3_rainbow.zoo.model_file import read_model
 
 
 class PlayedRainbow(Rainbow):
-    """A trained model under the masks of the environment that :func:`create_test_env` made last.
+    """A trained model under the masks of the environment that ``create_test_env`` made last.
 
     The zoo's ``enjoy`` loads a model without its environment and asks it for actions by the
     observations alone: masks have no other way to it.
