@@ -26,6 +26,7 @@ def test_without_the_folder(tmp_path: Path) -> None:
     package = tmp_path / "sb3_rainbow"
     without = shutil.ignore_patterns("fast", "__pycache__")
     shutil.copytree(ROOT / "sb3_rainbow", package, ignore=without)
+    shutil.copy(ROOT / "cached_njit.py", tmp_path)
     places = {"PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1"}
     done = python("-c", _PROGRAM, cwd=tmp_path, env=places)
     assert done.stdout.split() == [str(package / "__init__.py"), "40"]
