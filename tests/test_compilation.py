@@ -1,6 +1,7 @@
 """Both packages right after an install, and where nothing can be written."""
 
 import os
+import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,6 +13,8 @@ import pytest
 from numba.core import event
 
 import cached_njit
+import coop_env
+import sb3_rainbow
 from coop_env.compilation import njit
 from tests.process import ROOT, python
 
@@ -138,6 +141,11 @@ def test_a_kernel_compiles_once_for_all_constants_that_others_pass_to_it() -> No
     begun = [e.data["dispatcher"].py_func for _, e in recorder.buffer if e.is_start]
     assert begun.count(inner) == 1
     assert compiled(3.0, 2) == 6.0  # and from Python
+
+
+def test_both_packages_say_what_their_kernels_cost() -> None:
+    """What is announced asks them for it, and is tried above with one of them."""
+    assert all(re.search(r": .*(s|minute)$", p._KERNELS) for p in (coop_env, sb3_rainbow))
 
 
 def test_what_kernels_inline_is_looked_at_for_changes_too() -> None:
