@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 from coop_env.compilation import njit
 from coop_env.simulation import dynamics, observation
 from coop_env.simulation.rewards import TERMS
-from coop_env.simulation.state import INFO_FIELDS, Record, configuration_status, open_holes
+from coop_env.simulation.state import (
+    INFO_FIELDS,
+    Record,
+    configuration_status,
+    filled_holes,
+    open_holes,
+)
 from coop_env.simulation.task import unpack
 
 _KEYS = ("success", "is_success", *INFO_FIELDS[1:])  # the latter is Gymnasium's name of success
@@ -35,7 +41,7 @@ def write_reset_outcome(s: Record, out: Record) -> None:
     """The outcome before any move, from which a reset's ``info`` is made."""
     out.success = out.inserted = out.collision = out.violation = False
     out.duplicate = out.singular = out.terminated = out.truncated = False
-    out.n_filled = s.filled.sum()
+    out.n_filled = filled_holes(s)
     out.all_filled = open_holes(s) == 0
     out.inserted_hole = -1
     out.sigma_min, out.alignment_error, out.distance = s.sigma, s.angle, s.distance

@@ -1,6 +1,7 @@
 """The MDP's transition: one scalar kernel over one row of state.
 
-Single environment, batch, team and planners all call it, so they agree to the last bit.
+Single environment, batch, team and planners all call it, so they agree to the last bit. numba
+compiles what a kernel calls once more with the kernel; ``inline="always"`` spares one such level.
 """
 
 import math
@@ -17,7 +18,7 @@ from coop_env.simulation.state import HOLD, VALID, Configuration, Record
 from coop_env.simulation.task import N_AXES, EnvParams
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p: EnvParams) -> int:
     """Start an episode, but for the target; returns the configuration's status.
 
@@ -41,12 +42,12 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     return VALID
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def stand(
     s: Record, c: Configuration, theta: Row, pose: Pose, q: Row, sigma: float, p: EnvParams
 ) -> None:
     """Put the nominal machine at a configuration, and write all that follows from it."""
-    s.refused[:] = 0
+    state.set_all(s.refused, 0)
     s.sigma = sigma
     state.place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
     state.place_rrs(s, c, pose, q, p)
@@ -144,7 +145,7 @@ def _follow(s: Record, c: Configuration, p: EnvParams) -> int:
     return state.SINGULAR if state.is_singular(s.sigma, p) else VALID
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
     """Try a move of one robot or of both, and write what follows; the status of each, 0 of HOLD."""
     if delta == HOLD and rrs == HOLD:
@@ -161,7 +162,7 @@ def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
             s.refused[max(delta, rrs)] = 1
             state.update_mask(s, True, True, p)
         return delta_status, rrs_status
-    s.refused[:] = 0
+    state.set_all(s.refused, 0)
     if p.task.visited > 0:
         state.leave(s)
     if delta_moved:
@@ -192,7 +193,7 @@ def _in_filled_holes(s: Record) -> int:
     return bits
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
     """One move of one robot; with latency the last action is executed now, HOLD at first."""
     due = action
@@ -202,7 +203,7 @@ def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
     tick(s, due if due < 6 else HOLD, due if due >= 6 else HOLD, p, out)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
     """One time step, in which the Delta moves (0 to 5), the 3-RRS (6 to 11), both, or none (HOLD).
 
@@ -254,7 +255,7 @@ def conclude(
     out.truncated = not terminated and s.moves >= p.task.max_moves
     s.over = out.terminated or out.truncated
     out.success = s.insertions > 0
-    out.n_filled = s.filled.sum()
+    out.n_filled = state.filled_holes(s)
     out.all_filled = state.open_holes(s) == 0
     out.sigma_min = s.sigma
     out.target = s.target
@@ -269,12 +270,12 @@ def _reward(
 ) -> None:  # fmt: skip
     """Write the reward and its terms; ``before``, ``after``: distance and angle to one hole."""
     v, z, u, terminated, failed = flags
-    n_filled, time = s.filled.sum(), s.moves * p.layout.dt
+    filled, time = state.filled_holes(s), s.moves * p.layout.dt
     if not math.isnan(p.reward.gamma):
         # The potential of the next state: towards its own target, nought once it is terminal.
         after = (0.0, 0.0) if terminated else (s.distance, s.angle)
     d, a = (before[0], after[0]), (before[1], after[1])
-    terms = rewards.terms(v, z, u, n_filled, time, d, a, p.reward)
+    terms = rewards.terms(v, z, u, filled, time, d, a, p.reward)
     if failed and not p.reward.paper:
         left = p.task.max_moves - s.moves + 1  # this move is counted already
         terms = rewards.failure_terms(terms, left, p.reward)

@@ -44,7 +44,7 @@ def _draw_configuration(
         z = tip_z + p.delta.peg_length - p.delta.base_height
         if dynamics.begin(s, (x, y, z, roll, pitch, heave), active, filled, p) != VALID:
             continue
-        if s.sigma >= lay.start_sigma and s.inside.sum() == 0:
+        if s.sigma >= lay.start_sigma and state.bits(s.inside) == 0:
             return True
     return False
 
