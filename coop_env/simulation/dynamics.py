@@ -47,7 +47,7 @@ def stand(
     s: Record, c: Configuration, theta: Row, pose: Pose, q: Row, sigma: float, p: EnvParams
 ) -> None:
     """Put the nominal machine at a configuration, and write all that follows from it."""
-    state.set_all(s.refused, 0)
+    s.refused[:] = 0
     s.sigma = sigma
     state.place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
     state.place_rrs(s, c, pose, q, p)
@@ -162,7 +162,7 @@ def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
             s.refused[max(delta, rrs)] = 1
             state.update_mask(s, True, True, p)
         return delta_status, rrs_status
-    state.set_all(s.refused, 0)
+    s.refused[:] = 0
     if p.task.visited > 0:
         state.leave(s)
     if delta_moved:
@@ -186,11 +186,7 @@ def _inserts(s: Record, p: EnvParams) -> bool:
 @njit(cache=True)
 def _in_filled_holes(s: Record) -> int:
     """The filled holes whose criterion the peg meets, as the bits of a number."""
-    bits = 0
-    for i in range(len(s.inside)):
-        if s.filled[i] == 1 and s.inside[i] == 1:
-            bits |= 1 << i
-    return bits
+    return state.bits(s.filled) & state.bits(s.inside)
 
 
 @njit(cache=True, inline="always")

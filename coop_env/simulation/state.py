@@ -98,18 +98,11 @@ INFO_FIELDS: Final = (OUTCOME.names or ())[:15]
 
 @njit(cache=True)
 def bits(flags: np.ndarray) -> int:
-    """Flags of 0 or 1 as the bits of a number: numba compiles ``flags.sum()`` ten times as long."""
+    """Flags of 0 or 1 as the bits of a number; numba takes longer to compile ``flags.sum()``."""
     number = 0
     for i in range(len(flags)):
         number |= flags[i] << i
     return number
-
-
-@njit(cache=True)
-def set_all(flags: np.ndarray, value: int) -> None:
-    """``flags[:] = value``, which takes numba longer."""
-    for i in range(len(flags)):
-        flags[i] = value
 
 
 @njit(cache=True)
@@ -345,9 +338,9 @@ def _forbid_visited(s: Record, visited: int) -> None:
 def _forbid_refused(s: Record) -> None:
     """Take out of the mask what was refused here; if that is all, it is forgotten."""
     if bits(s.mask) == 0:
-        set_all(s.mask, 1)
+        s.mask[:] = 1
     if bits(s.mask) & ~bits(s.refused) == 0:
-        set_all(s.refused, 0)
+        s.refused[:] = 0
     for action in range(N_ACTIONS):
         s.mask[action] &= 1 - s.refused[action]
 
@@ -375,4 +368,4 @@ def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
     if p.task.visited > 0:
         _forbid_visited(s, p.task.visited)
     if bits(s.mask) == 0:
-        set_all(s.mask, 1)
+        s.mask[:] = 1
