@@ -8,6 +8,7 @@ import pytest
 from sb3_contrib.common.envs import InvalidActionEnvDiscrete
 from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
 from stable_baselines3 import HerReplayBuffer
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.envs import BitFlippingEnv, IdentityEnv
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -61,17 +62,26 @@ def test_the_bare_line_passes_sb3s_own_threshold_on_its_bandit() -> None:
     assert np.mean(mean) > 90
 
 
-def test_the_defaults_learn_sb3s_bit_flipping_with_hindsight() -> None:
+def test_sb3s_own_test_of_hindsight_passes_with_the_default_batch() -> None:
+    """`test_performance_her` without its `batch_size=32`, with which no seed of 0 to 4 passes."""
     model = Rainbow(
         "MultiInputPolicy",
-        BitFlippingEnv(n_bits=5, continuous=False),
+        make_vec_env(lambda: BitFlippingEnv(n_bits=10, continuous=False), 2),
+        learning_rate=2e-3,
+        buffer_size=100_000,
+        learning_starts=20,
+        train_freq=1,
+        gradient_steps=2,
         replay_buffer_class=HerReplayBuffer,
-        prioritized=False,
+        replay_buffer_kwargs={"n_sampled_goal": 5, "goal_selection_strategy": "future"},
         n_steps=1,
+        target_update_interval=100,
+        exploration_final_eps=0.02,
         stats_window_size=50,
         seed=0,
+        prioritized=False,
     )
-    model.learn(1000)
+    model.learn(1500)
     assert np.mean(model.ep_success_buffer or [0]) > 0.9
 
 
