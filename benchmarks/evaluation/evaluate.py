@@ -20,11 +20,10 @@ from benchmarks.methods.base import Chooser, Masks, Observations, Plan, Policy
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
 from benchmarks.protocol.metrics import EXPLORING, FIRST, GREEDY, RANDOM_MOVES
-from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, explores, own_error
+from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, displaced, explores, own_error
 from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
-from coop_env.simulation.sim_to_real import SimToReal
 
 Rows = list[dict[str, object]]
 OnProgress = Callable[[float], None]  # hears which share is done
@@ -59,10 +58,12 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
     tests, track = preset.evaluation, preset.tracks[cell.track] if cell.track else None
     arguments = env_arguments(preset, cell, track)
     if track is not None and track.sim_to_real is not None:
-        machine, own = SimToReal(**track.sim_to_real), own_error(track.sim_to_real)
+        own = own_error(track.sim_to_real)
         result = [
             Condition(
-                {**arguments, "sim_to_real": displaced(machine, error)}, 0.0, {"error": error}
+                {**arguments, "sim_to_real": displaced(track.sim_to_real, error)},
+                0.0,
+                {"error": error},
             )
             for error in tests.errors
         ]
@@ -75,14 +76,6 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
     if tests.exploring and explores(cell.method):
         return [*result, replace(main, noise=0.0, columns={**main.columns, "acting": EXPLORING})]
     return result
-
-
-def displaced(machine: SimToReal, error: float) -> SimToReal:
-    """The machine with its base displaced by up to ``error`` mm, and tilted in proportion."""
-    share = 1e-3 * error / machine.base_position_error
-    return replace(
-        machine, base_position_error=1e-3 * error, base_tilt_error=share * machine.base_tilt_error
-    )
 
 
 def evaluate_cell(

@@ -8,13 +8,15 @@ is one cell of its own. On public tasks a cell's track is the task, and it has n
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of, learner_of
 from benchmarks.protocol.presets import Preset, RunGroup, SuitePreset, Track
+from coop_env.errors import ArgumentError
+from coop_env.simulation.sim_to_real import SimToReal
 
 CONTROLS: Final = ("random", "greedy", "lookahead", "greedy_observed", "lookahead_observed")
 PERFECT_PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")  # without a track
@@ -255,6 +257,14 @@ def own_error(machine: Mapping[str, Any]) -> float:
     return round(1000.0 * float(machine["base_position_error"]), 6)
 
 
+def displaced(machine: Mapping[str, Any], error: float) -> SimToReal:
+    """A track's machine with its base displaced by up to ``error`` mm, and tilted in proportion."""
+    real = SimToReal(**machine)
+    share = 1e-3 * error / real.base_position_error
+    tilt = share * real.base_tilt_error
+    return replace(real, base_position_error=1e-3 * error, base_tilt_error=tilt)
+
+
 def _problems(preset: Preset, group: RunGroup) -> Iterator[str]:
     for kind, names, allowed in (
         ("method", group.methods, METHODS),
@@ -271,6 +281,11 @@ def _problems(preset: Preset, group: RunGroup) -> Iterator[str]:
             own = own_error(track.sim_to_real)
             if not any(math.isclose(own, level) for level in preset.evaluation.errors):
                 yield f"evaluation: errors lack {own:g} mm, track '{name}'s own"
+            for level in preset.evaluation.errors:
+                try:
+                    displaced(track.sim_to_real, level)
+                except ArgumentError as error:
+                    yield f"evaluation: errors: {level:g} mm on track '{name}': {error}"
         for problem in _of_team(track, group.methods):
             yield f"track '{name}': {problem}"
     for method in group.methods:

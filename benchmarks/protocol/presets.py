@@ -78,8 +78,8 @@ Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(_differ)]
 
 
 def _levels(noise: list[float]) -> list[float]:
-    if 0.0 not in noise or min(noise) < 0.0:
-        raise ValueError("must hold 0.0 and no negative level")
+    if 0.0 not in noise:
+        raise ValueError("must hold 0.0")
     return _differ(noise)
 
 
@@ -226,7 +226,7 @@ class Evaluation(Strict):
     """
 
     episodes: Count
-    noise: Annotated[list[Number], AfterValidator(_levels)] = field(
+    noise: Annotated[list[Share], AfterValidator(_levels)] = field(
         default_factory=lambda: [0.0, 0.01]
     )
     errors: Annotated[list[AtLeast0], AfterValidator(_differ)] = field(
@@ -394,7 +394,7 @@ def parse(data: dict[str, Any], name: str, where: str) -> Preset | SuitePreset:
     for key, given in _mapping(data.get(kind), f"{where}: {kind}").items():
         own = _mapping(given, f"{where}: {kind}: {key}")
         base = own.pop("base", key)
-        if base not in library and (base != key or not own):
+        if base not in [*library] and (base != key or not own):  # a list, too
             raise BenchmarkError(
                 f"{where}: {kind}: {key}: unknown base '{base}'; known: {known(library)}"
             )

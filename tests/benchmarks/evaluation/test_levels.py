@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.evaluation.evaluate import displaced, evaluate_cell, levels, with_random_moves
+from benchmarks.evaluation.evaluate import evaluate_cell, levels, with_random_moves
 from benchmarks.methods.learners import build_model, make_training_env
-from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.plan import Cell, displaced
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.runs.store import Store
 from benchmarks.studies.scoring.scores import FRESH_EPISODES, Replay
@@ -116,7 +116,7 @@ def test_on_an_uncertain_machine_all_play_at_each_error(method: str, preset: Pre
 
 
 def test_the_tilt_grows_with_the_displacement() -> None:
-    machine = SimToReal(base_position_error=0.003, base_tilt_error=math.radians(1.0))
+    machine = {"base_position_error": 0.003, "base_tilt_error": math.radians(1.0)}
     far = displaced(machine, 6.0)
     assert far.base_position_error == pytest.approx(0.006)
     assert far.base_tilt_error == pytest.approx(math.radians(2.0))
