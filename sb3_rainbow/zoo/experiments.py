@@ -20,8 +20,8 @@ from sb3_rainbow.zoo.files import ALGO, VEC_NORMALIZE, ZooError, is_model_file, 
 from sb3_rainbow.zoo.model_file import read_model, take_statistics
 
 CHECKPOINT = "checkpoint.zip"
-# A trial's attribute: whether the entry that it varies has a support, of discounted returns
-HAS_SUPPORT = "has_support"
+# A trial's attribute: the settings that the entry which it varies has
+ENTRY = "entry"
 HYPERPARAMS = pathlib.Path(__file__).parent / "hyperparams.yml"
 
 
@@ -105,7 +105,7 @@ class RainbowExperimentManager(ExperimentManager):
         Raises:
             ActionMaskError: for masks that no trial could learn under; the zoo would prune each.
         """
-        trial.set_user_attr(HAS_SUPPORT, "v_max" in self._hyperparams)
+        trial.set_user_attr(ENTRY, sorted(self._hyperparams))
         try:
             return super().objective(trial)
         except optuna.exceptions.TrialPruned as pruned:

@@ -20,7 +20,7 @@ from sb3_rainbow.masking.masked_off_policy import masks_apply
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.type_aliases import ObsArray, SaveFile
 from sb3_rainbow.zoo.experiments import (
-    HAS_SUPPORT,
+    ENTRY,
     MaskedEvalCallback,
     MaskedTrialEvalCallback,
     RainbowExperimentManager,
@@ -97,12 +97,16 @@ def _replace(name: str, value: Any, *modules: ModuleType) -> None:
 
 def convert_rainbow_params(sampled_params: dict[str, Any]) -> dict[str, Any]:
     """Arguments of Rainbow from what a trial drew, also of one that the zoo has stored."""
-    result = convert_offpolicy_params({"one_minus_gamma": 0.0, **sampled_params})
-    if "one_minus_gamma" not in sampled_params:
-        del result["gamma"]
+    neutral = {"one_minus_gamma": 0.0, "net_arch": "small"}  # which the zoo's own always draw
+    result = convert_offpolicy_params({**neutral, **sampled_params})
+    for drawn, name in (("one_minus_gamma", "gamma"), ("net_arch", "policy_kwargs")):
+        if drawn not in sampled_params:
+            del result[name]
     if not result["noisy"]:  # whatever the entry has beside its noise
         result["exploration_initial_eps"] = 1.0
-    return {**result, "prioritized": True}  # an alpha of 0 is not
+    if "alpha" in result:
+        result["prioritized"] = True  # an alpha of 0 is not
+    return {**result, "target_update_interval": None}  # tau is for after each update
 
 
 def sample_rainbow_params(
@@ -111,11 +115,13 @@ def sample_rainbow_params(
     """Draw hyperparameters for a trial of the zoo's search.
 
     What is not drawn stays as in the environment's entry of the file: above all the head and its
-    support, which no search should choose by the return alone, and with a support the discount,
-    which it was chosen for. ``n_actions``, ``n_envs`` and ``additional_args`` are for the zoo's
-    other samplers.
+    support, which no search should choose by the return alone. Nor is drawn the discount, where
+    the entry has a support for it, the network where it has ``policy_kwargs``, or what a buffer
+    stores where it has a class of buffers. ``n_actions``, ``n_envs`` and ``additional_args`` are
+    for the zoo's other samplers.
     """
-    if not trial.user_attrs.get(HAS_SUPPORT):
+    entry = trial.user_attrs.get(ENTRY, ())
+    if "v_max" not in entry:
         trial.suggest_float("one_minus_gamma", 1e-4, 0.03, log=True)
     train_freq = trial.suggest_int("train_freq", 1, 10)
     if trial.suggest_categorical("noisy", [True, False]):
@@ -127,7 +133,9 @@ def sample_rainbow_params(
     trial.suggest_float("learning_rate", 1e-5, 2e-3, log=True)
     trial.suggest_int("subsample_steps", 1, min(train_freq, 8))
     trial.suggest_float("tau", 5e-4, 0.05, log=True)
-    trial.suggest_int("n_steps", 1, 10)
-    trial.suggest_float("alpha", 0.0, 0.8)
-    trial.suggest_categorical("net_arch", ["small", "medium", "big"])
+    if "replay_buffer_class" not in entry:
+        trial.suggest_int("n_steps", 1, 10)
+        trial.suggest_float("alpha", 0.0, 0.8)
+    if "policy_kwargs" not in entry:
+        trial.suggest_categorical("net_arch", ["small", "medium", "big"])
     return convert_rainbow_params(trial.params)

@@ -38,3 +38,8 @@ class Masked(Toy):
 
 
 gym.register("MaskedZoo-v0", f"{__name__}:Masked")
+gym.register(
+    "BitsZoo-v0",
+    "stable_baselines3.common.envs:BitFlippingEnv",
+    kwargs={"n_bits": 4, "continuous": False},
+)

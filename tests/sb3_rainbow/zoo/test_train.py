@@ -9,7 +9,7 @@ import pytest
 import yaml
 from stable_baselines3 import DQN
 
-from sb3_rainbow.zoo.experiments import HAS_SUPPORT
+from sb3_rainbow.zoo.experiments import ENTRY
 from sb3_rainbow.zoo.registration import convert_rainbow_params, sample_rainbow_params
 from tests.sb3_rainbow.zoo import environments
 from tests.sb3_rainbow.zoo.runs import ENVS, SMALL, train, trained, workplace, zoo
@@ -55,23 +55,38 @@ def test_all_is_played_under_masks() -> None:
 
 
 def test_a_trial_explores_and_is_the_same_once_it_is_stored() -> None:
-    """Where the entry has noise alone, uniform replay or a support."""
-    for entry in ("MinAtar/Breakout-v1", "CoopInsertion-v0"):
+    """Where the entry has noise alone, uniform replay, a support or an interval of its target."""
+    for name in ("CartPole-v1", "MinAtar/Breakout-v1", "CoopInsertion-v0", "atari"):
+        entry = OURS[name]
         seen = set()
         for number in range(12):
             study = optuna.create_study(sampler=optuna.samplers.RandomSampler(number))
             trial = study.ask()
-            trial.set_user_attr(HAS_SUPPORT, "v_max" in OURS[entry])
+            trial.set_user_attr(ENTRY, sorted(entry))
             drawn = sample_rainbow_params(trial, 12, 1, {})
             study.tell(trial, 0.0)
             assert convert_rainbow_params(study.best_trial.params) == drawn
-            settings = {**OURS[entry], **drawn}
+            settings = {**entry, **drawn}
             assert settings["prioritized"]
+            assert settings["target_update_interval"] is None
+            assert ("policy_kwargs" in drawn) == ("policy_kwargs" not in entry)
             if not settings["noisy"]:
                 assert settings["exploration_initial_eps"] > settings["exploration_final_eps"] > 0
-            assert ("gamma" in drawn) == (entry != "CoopInsertion-v0")
+            assert ("gamma" in drawn) == ("v_max" not in entry)
             seen.add(settings["noisy"])
         assert seen == {True, False}
+
+
+def test_a_search_keeps_a_buffer_of_the_entrys_and_what_it_cannot_store() -> None:
+    """Priorities and n-step returns; what hindsight draws stays as well."""
+    buffer = {
+        "replay_buffer_class": "HerReplayBuffer",
+        "replay_buffer_kwargs": "dict(n_sampled_goal=2)",
+    }
+    entry = {**SMALL, **buffer, "policy": "MultiInputPolicy", "prioritized": False, "n_steps": 1}
+    Path("small.yml").write_text(yaml.safe_dump({"BitsZoo-v0": entry}), encoding="utf-8")
+    trials = "-n 200 -optimize --n-trials 2 --n-evaluations 1 --no-optim-plots"
+    train(f"--env BitsZoo-v0 --gym-packages {ENVS} {trials}")
 
 
 def test_a_game_of_atari_has_its_entry() -> None:
