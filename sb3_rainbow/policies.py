@@ -188,11 +188,12 @@ class RainbowPolicy(AsVector, BasePolicy):
         n_obs = len(rows)
         masked = {}  # A subclass for envs without masks may have the signature of SB3's.
         if action_masks is not None:
-            given = np.asarray(action_masks)
+            given, n_actions = np.asarray(action_masks), int(self.q_net.action_space.n)
             if given.ndim == 1:
                 # As sb3-contrib: one observation's mask, or those of a batch one after another
-                given = given.reshape(n_obs, -1) if given.size % n_obs == 0 else given[None]
-            checked = as_action_masks(given, n_obs, int(self.q_net.action_space.n))
+                whole = given.size == n_obs * n_actions
+                given = given.reshape(n_obs, n_actions) if whole else given[None]
+            checked = as_action_masks(given, n_obs, n_actions)
             masked["action_masks"] = th.as_tensor(checked, device=self.device)
         with th.no_grad():
             if not deterministic:

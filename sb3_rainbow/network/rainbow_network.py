@@ -243,7 +243,8 @@ class RainbowNetwork(AsVector, BasePolicy):
                 if self.dueling:
                     value = self._run(self.value_layers, shared, noisy)
                     outputs = th.cat([value, outputs], dim=1)
-        return outputs.view(outputs.shape[0], -1, self.n_atoms)
+        rows, columns = outputs.shape
+        return outputs.view(rows, columns // self.n_atoms, self.n_atoms)  # of no row, too
 
     def _run(self, layers: nn.ModuleList, hidden: th.Tensor, noisy: bool) -> th.Tensor:
         """Outputs of layers in a row, with activations between them."""

@@ -27,6 +27,7 @@ class PrioritizedReplayCallback(BaseCallback):
                 "replay_buffer_class=PrioritizedReplayBuffer, "
                 f"got {type(self.model).__name__} with {type(buffer).__name__}"
             )
+        buffer.last_indices = None  # of a training without this callback, overwritten by now
 
     def _on_rollout_start(self) -> None:
         buffer = self.model.replay_buffer

@@ -85,7 +85,7 @@ def package(
 
     Args:
         eval_env: env of the evaluation; the model acts under its masks where it learned under some,
-            and a ``VecNormalize`` around it stays in evaluation.
+            and a ``VecNormalize`` around it is in evaluation meanwhile.
         command: command that trained the model.
         deterministic: evaluate the greedy policy.
 
@@ -105,16 +105,21 @@ def package(
     (out / VEC_NORMALIZE).unlink(missing_ok=True)  # of an earlier model
     if normalizer is not None:
         write_statistics(normalizer, out / VEC_NORMALIZE)
+        modes = normalizer.training, normalizer.norm_reward
         normalizer.training = normalizer.norm_reward = False
     masked = masks_apply(model, eval_env)
-    returns, _ = evaluate_policy(
-        model,  # type: ignore[arg-type]
-        eval_env,
-        n_eval_episodes,
-        deterministic,
-        return_episode_rewards=True,
-        use_masking=masked,
-    )
+    try:
+        returns, _ = evaluate_policy(
+            model,  # type: ignore[arg-type]
+            eval_env,
+            n_eval_episodes,
+            deterministic,
+            return_episode_rewards=True,
+            use_masking=masked,
+        )
+    finally:
+        if normalizer is not None:  # its env may be the one that goes on training
+            normalizer.training, normalizer.norm_reward = modes
     mean, std = float(np.mean(returns)), float(np.std(returns))
     results = {
         "mean_reward": mean,

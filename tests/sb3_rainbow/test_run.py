@@ -263,5 +263,6 @@ def test_predict_takes_a_tuple_of_numbers_and_names_what_reset_returns() -> None
     env = gym.make("CartPole-v1")
     model = make(env)
     assert model.predict((0.0, 0.0, 0.0, 0.0), deterministic=True)[0].shape == ()  # type: ignore[arg-type]
+    assert model.predict(np.zeros((0, 4), np.float32))[0].shape == (0,)  # as SB3's DQN
     with pytest.raises(ValueError, match="got a tuple"):
         model.predict(env.reset())  # type: ignore[arg-type]

@@ -199,6 +199,7 @@ ONES = np.ones((3, N_ACTIONS), np.int8)
         (1, np.arange(N_ACTIONS), "True or False .* not 2: is it a list of actions"),
         (3, ONES.T, r"shape \(3, 6\) \(envs, actions\), got \(6, 3\)"),  # is not reshaped
         (3, np.ones(7, bool), r"got \(1, 7\)"),
+        (3, np.ones(3, bool), r"got \(1, 3\)"),
     ],
 )
 def test_bad_masks_in_predict(n: int, masks: np.ndarray, message: str) -> None:

@@ -257,6 +257,8 @@ def test_statistics_travel_along() -> None:
     env = VecNormalize(make_vec_env("CartPole-v1"), clip_obs=np.inf, clip_reward=np.float32(9.0))  # type: ignore[arg-type]
     model = model_of(env)
     package(model)
+    assert env.training
+    assert env.norm_reward
     loaded = hub.load_vec_normalize("out/vec_normalize.zip", make_vec_env("CartPole-v1"))
     observation = np.linspace(-9.0, 9.0, 4, dtype=np.float32)[None]
     np.testing.assert_array_equal(loaded.normalize_obs(observation), env.normalize_obs(observation))
