@@ -22,7 +22,7 @@ from benchmarks.studies import catalogue
 
 Given = argparse.Namespace
 Options = Mapping[str, Mapping[str, Any]]
-MISPLACED: Final = (NotADirectoryError, FileExistsError, PermissionError)
+MISPLACED: Final = (errno.ENOTDIR, errno.EEXIST, errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         where, mend = error.filename, "name another place"
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             where, mend = where or "the results folder", "make room, the same command goes on"
-        elif where is None or not isinstance(error, MISPLACED):
+        elif where is None or error.errno not in MISPLACED:
             raise
         print(f"error: {error.strerror}: {where}; {mend}", file=sys.stderr)
         return 2
@@ -133,7 +133,7 @@ def evaluate(given: Given) -> int:
             raise BenchmarkError("--starts is for stored policies, not for --model or --planner")
         preset = load_preset(given.preset)
         source = given.model[0].stem if given.model else given.planner.partition(":")[2]
-        given.name = given.name or source or given.planner
+        given.name = given.name or source or f"own-{given.planner}"
         if given.episodes is None:
             score(preset, given, console)
             return 0

@@ -1,6 +1,6 @@
 """The cooperative peg-in-hole task as a Gymnasium environment."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -150,6 +150,8 @@ class CoopInsertionEnv(Rendered):
 
     step_batch: ClassVar[Callable[..., None]] = staticmethod(batch.step_batch)
     """What moves a batch's rows: arguments as :func:`coop_env.simulation.batch.step_batch`."""
+    more_options: Sequence[str] = ()
+    """Names of reset options that a subclass takes out before :meth:`check_options` does."""
 
     def __init__(
         self,
@@ -304,7 +306,7 @@ class CoopInsertionEnv(Rendered):
     def check_options(self, options: Mapping[str, Any] | None) -> start_states.StartOptions:
         """Options of :meth:`reset`, checked against the present stage; ResetOptionError."""
         active = self._task.active_holes(self._stage)
-        return start_states.StartOptions(options, active, self._params)
+        return start_states.StartOptions(options, active, self._params, self.more_options)
 
     def _set_down(self) -> None:
         """Where a subclass brings a machine of its own to the start, before anything is shown."""
@@ -335,7 +337,8 @@ class CoopInsertionEnv(Rendered):
 
     def scene(self) -> Scene:
         """Every body of the scene at this instant, world frame."""
-        return make_scene(self._started_rows()[0], self._params, self._trace)
+        state, collided = self._started_rows()[0], bool(self._outcomes["collision"][0])
+        return make_scene(state, self._params, self._trace, collided)
 
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot: state, observation, random generator and stage."""

@@ -6,6 +6,7 @@ author is trusted.
 """
 
 import json
+import pickle
 import zipfile
 from pathlib import Path
 from typing import Any, Final
@@ -102,7 +103,10 @@ def load_stored(path: Path) -> Any:
         model = build_small(build(Preset, data, f"{path.parent}: config.yaml"), cell)
         set_weights(model, path)
         exploring = float(_plain_settings(path).get("exploration_rate", 0.0))
-    except (KeyError, TypeError, ValueError, RuntimeError, zipfile.BadZipFile) as error:
+    except (
+        *(AttributeError, KeyError, TypeError, ValueError),
+        *(RuntimeError, EOFError, zipfile.BadZipFile),
+    ) as error:
         raise BenchmarkError(
             f"{path} is not what the config.yaml beside it says: {error}"
         ) from error
@@ -112,7 +116,12 @@ def load_stored(path: Path) -> Any:
 
 def set_weights(model: BaseAlgorithm, path: Path) -> None:
     """Give a model the policy's arrays of a file that SB3 saved, and open none of its pickles."""
-    _, parameters, _ = load_from_zip_file(path, load_data=False, device="cpu")
+    try:
+        _, parameters, _ = load_from_zip_file(path, load_data=False, device="cpu")
+    except pickle.UnpicklingError as error:  # torch's own words tell how to run it
+        raise BenchmarkError(
+            f"{path} holds something else than arrays, or is damaged: nothing of it was run"
+        ) from error
     model.set_parameters({"policy": parameters["policy"]}, exact_match=False)
 
 

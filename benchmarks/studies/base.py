@@ -189,6 +189,8 @@ class Measured(OfOneFile):
         text = _as_json(self.result) + "\n"
         if self._others:
             kept, self._others = self.path.with_suffix(".before.json"), False
+            while kept.exists():
+                kept = kept.with_suffix(".before.json")
             self.path.replace(kept)
             print(f"{self.path} was measured with other settings or at another commit: see {kept}")
         write_text(self.path, text)

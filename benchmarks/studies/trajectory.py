@@ -192,7 +192,7 @@ class TrajectoryStudy(Measured):
             "type": Path,
             "help": f"policy of a run (default: {MODEL}; with --export the exact optimum)",
         },
-        "--start": count(0, "number of the start to export", 0),
+        "--start": count(None, "number of the start to export (default: 0)", 0),
         "--blend": {"action": "store_true", "help": "blended moves in what is exported"},
         "--starts": count(100, "test starts of the tables"),
     }
@@ -201,7 +201,10 @@ class TrajectoryStudy(Measured):
     def main(cls, argv: Sequence[str]) -> int:
         given = cls.parser().parse_args(list(argv))
         if given.export is None:
+            if given.blend or given.start is not None:
+                raise BenchmarkError("--start and --blend belong to --export, which is not given")
             return super().main(argv)
+        given.start = given.start or 0
         arguments, play = NOMINAL if given.model is None else stored(given.model)
         way = played(arguments, play, episode_seeds(0, given.start + 1, "test")[-1])
         if len(way.configurations) < 2:

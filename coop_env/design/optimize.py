@@ -75,10 +75,10 @@ class _Cost:
         if broken > 0.0:
             return -broken
         value = self.objective(geometry, self.problem, self.samples)
-        if not math.isfinite(value):
+        if not 0.0 <= value < math.inf:
             raise DesignError(
                 f"the objective is {value!r} at lambda1 = {lambda1:.4f}, lambda2 = {lambda2:.4f}: "
-                "it must be finite on every design that meets the constraints"
+                "it must be finite and not negative on every design that meets the constraints"
             )
         return value
 
@@ -91,7 +91,7 @@ class _Cost:
 
 
 def _excess(*amounts: float) -> float:
-    return sum(max(0.0, amount) for amount in amounts)
+    return sum(1.0 if math.isnan(amount) else max(0.0, amount) for amount in amounts)
 
 
 def _optimum(cost: _Cost, result: OptimizeResult, start_value: float) -> Optimum:
@@ -125,8 +125,8 @@ def optimize(
         problem: scale, limits, heaves, threshold and grid.
         start: (lambda1, lambda2) of the first vertex.
         objective: ``objective(geometry, problem, samples)``, not negative; A_w by default.
-        constraints: functions of a geometry, each satisfied where not negative; they and the
-            paper's own act as a penalty.
+        constraints: functions of a geometry, each satisfied where not negative, and broken where
+            NaN; they and the paper's own act as a penalty.
         simplex: edge of the initial simplex, along each axis. One of a few thousandths stalls at
             once, and is converged: the area changes in steps of a cell.
         seed: of the jitter, one draw per cell that is kept for the whole run; None for the

@@ -14,7 +14,7 @@ from coop_env.physics.batch import row_of
 from coop_env.physics.contact import in_units
 from coop_env.physics.env import with_privileged
 from coop_env.physics.joints import Floats
-from coop_env.physics.task import split_options, start_configurations
+from coop_env.physics.task import OWN_OPTIONS, split_options, start_configurations
 from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.scene import Scene
 from coop_env.simulation import start_states
@@ -148,6 +148,8 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
 
     * v0: initial version
     """
+
+    more_options = OWN_OPTIONS
 
     def __init__(
         self,

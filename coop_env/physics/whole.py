@@ -10,7 +10,7 @@ from coop_env.errors import check_integer
 from coop_env.physics import kernels
 from coop_env.physics.batch import LIMIT, OBSERVED, Bools, PhysicsBatch
 from coop_env.physics.joints import Floats
-from coop_env.physics.task import Options, draw_error, split_options
+from coop_env.physics.task import OWN_OPTIONS, Options, draw_error, split_options
 
 MAX_STEPS: Final = 2400
 """120 s in control steps, twice the kinematic task's time, as contact takes some."""
@@ -30,6 +30,7 @@ class WholeBatch(PhysicsBatch):
         super().__init__(*arguments, max_steps=limit, **more)
         machine, task, n = self.machine, self.machine.task, self.n
         self._starts = CoopInsertionEnv(machine.rrs, delta=machine.delta, task=task, stage=stage)
+        self._starts.more_options = OWN_OPTIONS
         self.increments = np.array(task.steps) * min(1.0, self.task.dt / task.dt)
         stiffness, damping = machine.servos.gains
         self._lag = damping / stiffness  # s

@@ -69,14 +69,15 @@ class Scene:
         )
 
 
-def _status(state: np.void, sigma: float, p: EnvParams) -> str:
+def _status(state: np.void, sigma: float, p: EnvParams, collided: bool) -> str:
     if not state["over"]:
         return "running"
     if not np.any((state["active"] == 1) & (state["filled"] == 0)):
         return "success"
     if sigma < p.layout["singular_margin"]:
         return "singular"
-    return "timeout" if state["moves"] >= p.task.max_moves else "collision"
+    in_time = state["moves"] < p.task.max_moves or (collided and p.task.fatal)
+    return "collision" if in_time else "timeout"
 
 
 RRS_JOINTS: Final = ("rrs_base_joints", "elbows", "platform_joints")
@@ -104,8 +105,10 @@ def posed(configuration: Points, p: EnvParams, trace: Sequence[Points]) -> dict[
     }
 
 
-def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Scene:
-    """The scene of a row of state; ``trace``: the tip's path."""
+def make_scene(
+    state: np.void, p: EnvParams, trace: Sequence[Points] = (), collided: bool = False
+) -> Scene:
+    """The scene of a row of state; ``trace``: the tip's path, ``collided``: in the last move."""
     fields, sigma = posed(state["configuration"], p, trace), float(state["sigma"])
     return Scene(
         **fields,
@@ -119,5 +122,5 @@ def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Sc
         alignment_error=float(state["angle"]),
         sigma_min=sigma,
         time=float(state["moves"]) * float(p.layout["dt"]),
-        status=_status(state, sigma, p),
+        status=_status(state, sigma, p, collided),
     )

@@ -6,7 +6,7 @@ environment, and :class:`ShieldedInsertionVecEnv` is the task under its masks, i
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -163,7 +163,7 @@ class KinematicShield:
         return sigma
 
 
-class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
+class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Only certified actions reach the environment.
 
     An increment is cut to what :meth:`KinematicShield.certify` leaves of it. A move that
@@ -179,7 +179,9 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(
         self, env: gym.Env[Any, Any], margin: ShieldMargin | Mapping[str, Any] | None = None
     ) -> None:
-        super().__init__(env)
+        plain = asdict(margin) if isinstance(margin, ShieldMargin) else margin
+        gym.utils.RecordConstructorArgs.__init__(self, margin=plain)
+        gym.Wrapper.__init__(self, env)
         layer = env
         while isinstance(layer, gym.Wrapper):
             if isinstance(layer, _CHANGING):

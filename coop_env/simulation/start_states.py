@@ -3,7 +3,7 @@
 Both are built in a scratch row, so a start that fails leaves the environment as it was.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -56,6 +56,7 @@ class StartOptions:
         options: of ``OPTIONS``, or None.
         active: 1 for each hole that is active, 0 for the others.
         p: the environment's parameters.
+        more: names of options that the environment has taken out before.
 
     Raises:
         ResetOptionError: an unknown key, a malformed value, a hole that is not active, a target
@@ -63,13 +64,15 @@ class StartOptions:
     """
 
     def __init__(
-        self, options: Mapping[str, Any] | None, active: tuple[int, ...], p: EnvParams
-    ) -> None:
+        self, options: Mapping[str, Any] | None, active: tuple[int, ...], p: EnvParams,
+        more: Sequence[str] = (),
+    ) -> None:  # fmt: skip
         if options is not None and not isinstance(options, Mapping):
             raise ResetOptionError(f"reset options = {options!r}: must be a mapping or None")
         given = dict(options or {})
         if unknown := sorted(str(key) for key in given if key not in OPTIONS):
-            raise ResetOptionError(f"reset options {unknown} are unknown; known: {list(OPTIONS)}")
+            known = [*OPTIONS, *more]
+            raise ResetOptionError(f"reset options {unknown} are unknown; known: {known}")
         self.active = np.array(active, np.uint8)
         self.filled = _filled(given.get("filled"), self.active)
         self.target = _target(given.get("target"), self.active, self.filled)

@@ -36,6 +36,7 @@ from benchmarks.runs.cell import run_once
 from benchmarks.runs.harness import bar
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.scoring.scores import in_words
+from coop_env.simulation.task import TRAIL
 
 Given = argparse.Namespace
 GEOMETRY: Final = "optimized"
@@ -152,7 +153,12 @@ def _check(preset: Preset, given: Given) -> None:
         )
     taken = {*METHODS, DESIGN, *labels.METHODS.values()}
     if given.name in taken:
-        raise BenchmarkError(f"name '{given.name}' is one of the harness's own: {known(taken)}")
+        raise BenchmarkError(
+            f"name '{given.name}' is one of the harness's own: choose another --name than "
+            f"{known(taken)}"
+        )
+    if given.mask_visited > TRAIL:
+        raise BenchmarkError(f"--mask-visited {given.mask_visited}: at most {TRAIL}")
     if bool(given.model) == bool(given.planner):
         raise BenchmarkError("give either --model or --planner")
     if given.model and len(given.model) not in (1, len(preset.seeds)):

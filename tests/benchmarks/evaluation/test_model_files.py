@@ -94,10 +94,25 @@ def test_a_damaged_model_is_one_error(tmp_path: Path, name: str) -> None:
             load_model(damaged, "rainbow", trust=True)
 
 
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")  # torch's
+def test_a_stored_policy_that_holds_a_pickle_is_one_error_without_torchs_advice(
+    tmp_path: Path,
+) -> None:
+    shutil.copy(POLICIES[0].with_name("config.yaml"), tmp_path)
+
+    def forge(each: str, old: bytes) -> bytes:
+        return CALL if each == "policy.pth" else old
+
+    path = rewritten(POLICIES[0], tmp_path / "policy.zip", forge)
+    with pytest.raises(BenchmarkError, match=r"policy.zip holds .* nothing of it was run$"):
+        load_model(path)
+
+
 def test_a_policy_beside_other_settings_is_one_error(tmp_path: Path) -> None:
     shutil.copy(POLICIES[0], tmp_path / "policy.zip")
     text = POLICIES[0].with_name("config.yaml").read_text("utf-8")
-    for old, new in (("- 128", "- 127"), ("alpha: 0.6", "alpha: much"), ("cell:", "cells:")):
+    changes = ("- 128", "- 127"), ("alpha: 0.6", "alpha: much"), ("cell:", "cells:")
+    for old, new in (*changes, ("method: rainbow", "method: {}")):
         (tmp_path / "config.yaml").write_text(text.replace(old, new), "utf-8")
         with pytest.raises(BenchmarkError):
             load_model(tmp_path / "policy.zip")

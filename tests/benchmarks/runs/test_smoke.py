@@ -176,6 +176,9 @@ def test_other_starts_are_starts_of_their_own(
         (["run", "--preset", "smoke", "--device", "cuda"], "PyTorch finds no GPU here"),
         (["run", "--preset", "smoke", "--results", __file__], "name another place"),
         (["evaluate", "--planner", "astar"], "known: optimum, or module:function"),
+        (["evaluate", "--planner", "optimum", "--name", "optimum"], "choose another --name than"),
+        (["evaluate", "--planner", "optimum", "--mask-visited", "65"], "visited 65: at most 64"),
+        (["study", "trajectory", "--start", "1"], "--start and --blend belong to --export"),
     ],
 )
 def test_bad_input_is_one_error_and_writes_nothing(

@@ -134,4 +134,6 @@ def test_other_settings_leave_what_was_measured(tmp_path: Path) -> None:
     assert list(begun(2).parts()) == ["b"]
     stored, kept = (tmp_path / f"counted/counted{end}" for end in (".json", ".before.json"))
     assert json.loads(stored.read_text("utf-8"))["parts"] == {"a": 2}
+    begun(3)
     assert json.loads(kept.read_text("utf-8"))["parts"] == {"a": 1, "b": 1}
+    assert json.loads(kept.with_suffix(".before.json").read_text("utf-8"))["parts"] == {"a": 2}

@@ -81,6 +81,10 @@ def test_a_collision_is_refused_or_ends_the_episode_in_failure(reward: str) -> N
                 assert not over
                 assert not fatal.running
                 assert fatal.scene().status == "collision"
+                last = CoopInsertionEnv(collision="terminate", max_moves=1)
+                last.reset(options={"configuration": before["configuration"]})
+                last.step(action)
+                assert last.scene().status == "collision"
                 assert refusing.configuration.tolist() == before["configuration"].tolist()
                 left = 300 - int(before["moves"])
                 assert charged == pytest.approx(paid if reward == "paper" else -3.0 - 0.5 * left)

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
 from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ActionError, StateError
+from coop_env.errors import ActionError, ResetOptionError, StateError
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from tests.coop_env.physics.episodes import NO_ERROR, REST, above, beside
 
@@ -108,6 +108,8 @@ def test_a_hole_that_is_not_filled_is_given_up_and_the_last_one_ends_the_episode
         assert info["failure"] == ("not inserted" if filled else "")
     assert env.scene().status == "not inserted"
     assert not env.scene().active[3]
+    with pytest.raises(ResetOptionError, match=r"known: .*'filled', 'error', 'friction'\]"):
+        env.reset(options={"errors": 0.0})
 
 
 def fly(env: CoopInsertionPhysicsDiscreteEnv, hole: int) -> np.ndarray:

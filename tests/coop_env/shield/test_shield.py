@@ -141,6 +141,9 @@ def test_a_start_nearer_to_a_limit_than_the_margin_is_left_by_the_environments_o
 def test_the_wrapper_is_an_environment_of_its_own() -> None:
     wrapped = ShieldWrapper(make_env())
     check_env(wrapped)
+    named: Any = ShieldWrapper(gym.make("CoopInsertion-v0"), ShieldMargin(clearance=0.004))
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(named.spec.to_json()))
+    assert again.get_wrapper_attr("shield").margin == named.shield.margin
     wrapped.reset(seed=5)
     twin = pickle.loads(pickle.dumps(wrapped))
     for action in (3, 4, 11, 0):

@@ -142,7 +142,7 @@ def test_the_callback_serves_dqn_with_the_buffer() -> None:
 def test_priorities_under_dqn_go_on_after_a_training_that_overwrote_the_last_batch() -> None:
     env = Toy(spaces.Box(-1.0, 1.0, (2,)), lambda _: np.zeros(2), length=1000)
     per: Any = {"replay_buffer_class": PrioritizedReplayBuffer}
-    size = {"buffer_size": 8, "batch_size": 8, "replay_buffer_kwargs": {"n_steps": 3}}
+    size: Any = {"buffer_size": 8, "batch_size": 8, "replay_buffer_kwargs": {"n_steps": 3}}
     model = DQN("MlpPolicy", env, learning_starts=5, train_freq=1, seed=0, **per, **size)
     model.learn(40, callback=PrioritizedReplayCallback())
     model.learning_starts = 10**9
