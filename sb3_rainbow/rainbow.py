@@ -221,7 +221,9 @@ class Rainbow(ResumableAlgorithm):
             self.tau = settings.default_tau(self.target_update_interval)
         if given["learning_rate"] is None:  # for images SB3's: ours was searched on perceptrons
             self.learning_rate = 1e-4 if issubclass(self.policy_class, CnnPolicy) else 1e-3
-        head = settings.head_and_support(self.distributional, self.v_min, self.v_max)
+        had_quantiles = given["distributional"] is None and self._support in ((), [])
+        ends = (None, None) if had_quantiles else (self.v_min, self.v_max)
+        head = settings.head_and_support(self.distributional, *ends)
         self.distributional, self.v_min, self.v_max = head
         settings.check_settings(self)
         self.prioritized, self.n_steps = settings.served_by(

@@ -204,6 +204,7 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
     assert Rainbow.load(path, tau=None, target_update_interval=100).tau == 1.0
     assert Rainbow.load(path).tau == 0.5
     assert Rainbow.load(path, learning_rate=None).learning_rate == 1e-3
+    assert Rainbow.load(path, distributional=None).distributional == "quantile"
     assert isinstance(loaded.action_space, spaces.Discrete)
     with pytest.raises(ValueError, match="tau"):
         Rainbow.load(path, tau=2.0)
