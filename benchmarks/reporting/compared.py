@@ -14,6 +14,7 @@ from benchmarks.reporting.stats import Value, holm, measured, paired_p
 CONTROL: Final = "Best script"
 MASKED: Final = "Other learners"
 ABLATION: Final = "Components"
+GREEDILY: Final = "Components, greedily"
 GEOMETRY: Final = "Geometry"
 SCRIPT: Final = "Uncertain machine"
 
@@ -95,6 +96,8 @@ def _pairs(results: Results) -> Iterator[tuple[str, Group, Group | None]]:
         if ablation not in labels.ALL_OR_NONE:
             without = results.group("rainbow", track, ablation=ablation)
             yield ABLATION, without.as_trained(), full.as_trained()
+            if without.as_trained() != without:
+                yield GREEDILY, without, full
     initial = results.group("rainbow", track, "initial")
     yield GEOMETRY, initial.as_trained(), full.as_trained()
     script = results.best_script()

@@ -19,7 +19,7 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
      {"ablation_comparison": "Success with one component removed"}),
     ("Geometry", ("geometry",), ("geometry", "design"), {}),
     ("As printed", ("printed",), (), {}),
-    ("All methods", (), ("leaderboard", "significance"), {}),
+    ("All methods", (), ("leaderboard",), {}),
     ("Noise on the observation", (), ("robustness",), {"robustness": "Success over noise"}),
 )  # fmt: skip
 

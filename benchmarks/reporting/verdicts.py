@@ -15,9 +15,11 @@ from benchmarks.reporting.compared import (
     ABLATION,
     CONTROL,
     GEOMETRY,
+    GREEDILY,
     MASKED,
     Comparison,
     comparisons,
+    differences,
     find,
 )
 from benchmarks.reporting.results import SEEDS, Group, Results, tail_mean
@@ -114,8 +116,13 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     said = f"Rainbow succeeds in {_rate(ours)} of the test episodes (paper {paper} %)"
     said += f", the best script in {_rate(script.theirs)}." if script else "."
     for rival in rivals:
-        if not ground(rival.theirs) and (as_good := as_well(rival)):
+        if ground(rival.theirs):
+            continue
+        if as_good := as_well(rival):
             said += f" {rival.theirs.title} is {as_good}{_but_greedily(rival, compared)}."
+        elif outcome(rival) == SAME:
+            above = _above(rival.difference)
+            said += f" Rainbow is {above} {rival.theirs.title}, which may be chance."
     if there := on_track(results, "terminal"):
         said += f" Where a collision ends the episode, {there}."
     said += under_noise(results, greedy)
@@ -164,9 +171,10 @@ def under_noise(results: Results, greedy: Group) -> str:
     if chosen is None:
         return ""
     ours = greedy.at(chosen.level)
+    lead = measured(differences(CONTROL, ours, chosen)).signed(" points")
     return (
         f" With noise of {chosen.level.noise:g} on what it observes, the best script "
-        f"({chosen.title}) reaches {_rate(chosen)}, Rainbow {_rate(ours)}."
+        f"({chosen.title}) reaches {_rate(chosen)}, Rainbow {_rate(ours)} ({lead})."
     )
 
 
@@ -190,11 +198,14 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
     masked = results.group("rainbow", full.track, ablation="none")
     together = next((c for c in compared if c.ours == full and c.theirs in masked.both()), None)
     wanted = len(PRINTED_ABLATION) - 1
-    singles = [
-        c
-        for c in compared
-        if c.question == ABLATION and c.ours.ablation in PRINTED_ABLATION and not ground(c.ours)
-    ]
+    singles, greedily = (
+        [
+            c
+            for c in compared
+            if c.question == question and c.ours.ablation in PRINTED_ABLATION and not ground(c.ours)
+        ]
+        for question in (ABLATION, GREEDILY)
+    )
     if not together and len(singles) < wanted:
         return NOTHING
     said, why = [], ground(full)
@@ -208,7 +219,7 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         n = together.difference.n
         theirs = ground(together.theirs) or (f"{n} seeds in common" if n < SEEDS else "")
         why = why or (theirs and f"masked DQN: {theirs}")
-    costs = [c for c in singles if outcome(c) == WORSE]
+    costs, greedily = ([c for c in each if outcome(c) == WORSE] for each in (singles, greedily))
     alone = [c for c in singles if c.difference.high < 0.0 and c not in costs]
     pays = together is not None and outcome(together) == BETTER
     if len(singles) < wanted:
@@ -226,6 +237,8 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         if alone:
             also = " as well" if costs else ""
             said.append(f"Uncorrected, these do{also}: {_listed(alone)}.")
+        if greedily:
+            said.append(f"Greedily, these do after the correction: {_listed(greedily)}.")
     if why:
         holds, verdict = "", f"No verdict yet on the components ({why})"
     elif len(singles) < wanted:
@@ -233,7 +246,7 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         verdict = f"Together, Rainbow's six components {'help' if pays else 'do not help'}"
     elif pays and len(costs) == wanted:
         holds, verdict = YES, "The ablation of the six components reproduces"
-    elif costs or (pays and alone):
+    elif costs or greedily:
         holds, verdict = IN_PART, "The ablation of the six components reproduces in part"
     elif pays:
         holds, verdict = NO, "Rainbow's six components help together, none is shown to alone"

@@ -79,7 +79,7 @@ def page(store: Store) -> str:
 def _scores(results: SuiteResults) -> Table:
     preset, tasks = results.preset, results.preset.tasks
     header = ["Task", "Steps", "Goal", "Seeds", *map(of_suite, preset.methods)]
-    notes = [f"Mean over seeds [{_INTERVAL}]; the test episodes' seeds are used for nothing else."]
+    notes = [f"Mean over seeds [{_INTERVAL}]; test episodes have seeds of their own, by the run's."]
     if marks := dict.fromkeys(who for task in tasks.values() for who in task.published):
         header.append("Published")
         notes.append(f"Published, in this order and by protocols of their own: {'; '.join(marks)}.")
@@ -100,11 +100,11 @@ def _scores(results: SuiteResults) -> Table:
 
 
 def _controls(results: SuiteResults) -> Table:
-    """What plays without learning, on the learners' test episodes."""
+    """What plays without learning; its test episodes are of its own seeds, as a learner's."""
     tasks, controls = results.preset.tasks, results.preset.controls
     return Table(
         "controls",
-        "Without learning, on the same test episodes",
+        "Without learning, on the test episodes of as many seeds",
         ["Task", *map(of_suite, controls)],
         [[task.title, *_shown(results, [key], controls)] for key, task in tasks.items()],
         [" ".join(_CONTROLS[name] for name in controls)],
@@ -149,8 +149,9 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
         ["Method", "Seeds", "Interquartile mean", f"P({of_suite(ours)} is better)"],
         rows,
         [
-            "On each task the worst run of any method scores 0, the best 1. Measures of Agarwal et "
-            "al. 2021 [95 % stratified bootstrap interval over seeds].",
+            "On each task the worst run of any method scores 0, the best 1; where all tie, 0. Of "
+            "each task as many seeds as all have. Measures of Agarwal et al. 2021 [95 % stratified "
+            "bootstrap interval over seeds].",
         ],
     )
 

@@ -175,7 +175,7 @@ def test_a_script_that_noise_helps_is_named_beside_ours(
     said = sentences(read_again(results))["performance"].partition("\n\n")[0]
     assert said.endswith(
         " With noise of 0.02 on what it observes, the best script (Two-move lookahead, from "
-        "the observation) reaches 90.0 ± 0.0 %, Rainbow 96.0 ± 0.0 %."
+        "the observation) reaches 90.0 ± 0.0 %, Rainbow 96.0 ± 0.0 % (+6.0 points [6.0, 6.0])."
     )
 
 
@@ -187,7 +187,10 @@ PPO = "maskable_ppo-optimized-repaired"
     [
         ([95, 97, 94], " MaskablePPO is as good as Rainbow."),
         # no significant difference is no equality
-        ([85, 96, 99], "the best script in 50.3 ± 1.5 %."),
+        (
+            [85, 96, 99],
+            " Rainbow is 1.7 points [-17.3, 20.6] above MaskablePPO, which may be chance.",
+        ),
         ([99, 100, 99], " MaskablePPO is better than Rainbow."),
         ([99, 100], "the best script in 50.3 ± 1.5 %."),
     ],
@@ -250,6 +253,19 @@ def test_the_components_are_named_with_their_cost(report_of: Reports) -> None:
     said = "none costs success beyond chance after the correction for 6 tests. Uncorrected, these "
     assert said in report
     assert report.count(" (-9.7 points [-18.4, -0.9])") == len(SIX)
+
+
+def test_a_removal_that_costs_greedily_alone_is_named(results_of: Callable[..., Results]) -> None:
+    results = results_of(LEARNED | _removed(**dict.fromkeys(SIX, EQUAL)))
+    said = sentences(results)["components"]
+    assert said.startswith("**Rainbow's six components help together, none is shown to alone.**")
+    for run in results.group("rainbow", "repaired", ablation="no_noisy").runs:
+        rows = run.episodes
+        rows.loc[(rows["acting"] == "greedy") & (rows["episode"] >= 50), "success"] = 0
+        rows.to_csv(run.folder.path / "episodes.csv", index=False)
+    said = sentences(read_again(results))["components"]
+    assert said.startswith("**The ablation of the six components reproduces in part.**")
+    assert "Greedily, these do after the correction: noisynets (-4" in said
 
 
 @pytest.mark.parametrize(("solved", "word"), [(49, "does not teach"), (50, "teaches")])
