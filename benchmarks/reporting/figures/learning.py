@@ -248,6 +248,9 @@ def _seed_curves(
     result = [(steps, values) for steps, values in curves if len(steps)]
     if not result:
         return np.empty(0), np.empty((0, 0))
+    shared = result[0][0]
+    if len(shared) < POINTS and all(np.array_equal(steps, shared) for steps, _ in result):
+        return shared, np.stack([values for _, values in result])  # no interval in between
     start = max(steps[0] for steps, _ in result)
     grid = np.linspace(start, max(start, min(steps[-1] for steps, _ in result)), POINTS)
     return grid, np.stack([np.interp(grid, steps, values) for steps, values in result])

@@ -4,12 +4,14 @@ import io
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
 from benchmarks.cli import main
-from benchmarks.reporting.figures.learning import pictures
+from benchmarks.reporting.figures.learning import draw, pictures
 from benchmarks.reporting.figures.style import canvas, flat_png
 from benchmarks.reporting.results import Results
 from benchmarks.runs.store import Store
@@ -50,6 +52,20 @@ def test_a_picture_with_nothing_to_compare_is_not_drawn(tmp_path: Path) -> None:
     names = {picture.name for picture in pictures(Results(made))}
     assert {"terminal_success", "repaired_success"} <= names
     assert not {name for name in names if "ablation" in name}
+
+
+def test_a_band_over_few_evaluations_has_intervals_at_these_alone() -> None:
+    """Not at means of two of them, where seeds seem to agree more."""
+    steps = [100, 200, 300]
+    frames = [
+        pd.DataFrame({"timesteps": steps, "return": values})
+        for values in ([0.0, 9.0, 5.0], [4.0, 5.0, 9.0], [2.0, 1.0, 1.0])
+    ]
+    axes = plt.figure().subplots()
+    draw(axes, frames, "return", "", "k")
+    drawn = np.asarray(axes.lines[0].get_xydata())
+    np.testing.assert_allclose(drawn, [(100, 2.0), (200, 5.0), (300, 5.0)])
+    plt.close()
 
 
 def test_figures_need_no_torch(tmp_path: Path) -> None:
