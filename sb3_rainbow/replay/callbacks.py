@@ -27,7 +27,6 @@ class PrioritizedReplayCallback(BaseCallback):
                 "replay_buffer_class=PrioritizedReplayBuffer, "
                 f"got {type(self.model).__name__} with {type(buffer).__name__}"
             )
-        buffer.last_indices = None  # of a training without this callback, overwritten by now
 
     def _on_rollout_start(self) -> None:
         buffer = self.model.replay_buffer
@@ -35,6 +34,8 @@ class PrioritizedReplayCallback(BaseCallback):
         indices = buffer.last_indices
         if indices is None:
             return
+        # the batch may be of an earlier training, and a part of it overwritten in between
+        indices = indices[buffer.tree.leaves[indices] > 0.0]
         samples = buffer.samples_at(indices, self.model.get_vec_normalize_env())
         with th.no_grad():
             next_values = self.model.q_net_target(samples.next_observations).amax(1, keepdim=True)

@@ -72,8 +72,8 @@ def updates_needed(states: int, limit: int, seed: int, prioritized: bool) -> int
 
 
 def test_prioritized_replay_learns_the_walk_in_fewer_updates() -> None:
-    prioritized, uniform = (
-        [updates_needed(10, 4000, seed, on) for seed in range(3)] for on in (True, False)
+    prioritized, uniform = (  # seeds differ threefold, and by the processor's rounding
+        [updates_needed(10, 4000, seed, on) for seed in range(7)] for on in (True, False)
     )
     assert max(prioritized) < 4000
     assert np.median(uniform) > 1.3 * np.median(prioritized)
