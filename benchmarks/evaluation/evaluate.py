@@ -59,13 +59,10 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
     arguments = env_arguments(preset, cell, track)
     if track is not None and track.sim_to_real is not None:
         own = own_error(track.sim_to_real)
+        machines = {error: displaced(track.sim_to_real, error) for error in tests.errors}
         result = [
-            Condition(
-                {**arguments, "sim_to_real": displaced(track.sim_to_real, error)},
-                0.0,
-                {"error": error},
-            )
-            for error in tests.errors
+            Condition({**arguments, "sim_to_real": machine}, 0.0, {"error": error})
+            for error, machine in machines.items()
         ]
         main = next(each for each in result if each.columns["error"] == own)
     else:

@@ -122,7 +122,8 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
             said += f" {rival.theirs.title} is {as_good}{_but_greedily(rival, compared)}."
         elif outcome(rival) == SAME:
             above = _above(rival.difference)
-            said += f" Rainbow is {above} {rival.theirs.title}, which may be chance."
+            said += f" Rainbow is {above} {rival.theirs.title}, which may be chance"
+            said += f"{_but_greedily(rival, compared)}."
     if there := on_track(results, "terminal"):
         said += f" Where a collision ends the episode, {there}."
     said += under_noise(results, greedy)
@@ -155,7 +156,7 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
 
 
 def _but_greedily(rival: Comparison, compared: list[Comparison]) -> str:
-    """How far apart two that do as well as trained are greedily; empty where they are not."""
+    """How far apart two are greedily that are not as trained; empty where they are not either."""
     for c in compared:
         same = (c.theirs.method, c.theirs.ablation) == (rival.theirs.method, rival.theirs.ablation)
         if c.question == MASKED and same and outcome(c) != outcome(rival):

@@ -62,6 +62,20 @@ def test_the_bare_line_passes_sb3s_own_threshold_on_its_bandit() -> None:
     assert np.mean(mean) > 90
 
 
+def test_the_defaults_learn_sb3s_bit_flipping_with_hindsight() -> None:
+    model = Rainbow(
+        "MultiInputPolicy",
+        BitFlippingEnv(n_bits=5, continuous=False),
+        replay_buffer_class=HerReplayBuffer,
+        prioritized=False,
+        n_steps=1,
+        stats_window_size=50,
+        seed=0,
+    )
+    model.learn(1000)
+    assert np.mean(model.ep_success_buffer or [0]) > 0.9
+
+
 def test_sb3s_own_test_of_hindsight_passes_with_the_default_batch() -> None:
     """`test_performance_her` without its `batch_size=32`, with which no seed of 0 to 4 passes."""
     model = Rainbow(

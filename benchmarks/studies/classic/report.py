@@ -100,11 +100,11 @@ def _scores(results: SuiteResults) -> Table:
 
 
 def _controls(results: SuiteResults) -> Table:
-    """What plays without learning; its test episodes are of its own seeds, as a learner's."""
+    """What plays without learning, on test episodes by seed as a learner's."""
     tasks, controls = results.preset.tasks, results.preset.controls
     return Table(
         "controls",
-        "Without learning, on the test episodes of as many seeds",
+        "Without learning, on test episodes of the preset's seeds",
         ["Task", *map(of_suite, controls)],
         [[task.title, *_shown(results, [key], controls)] for key, task in tasks.items()],
         [" ".join(_CONTROLS[name] for name in controls)],
