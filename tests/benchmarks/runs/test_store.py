@@ -76,19 +76,21 @@ def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
 
 def test_a_lock_can_be_waited_for(tmp_path: Path) -> None:
     run = Store.open(tmp_path, "smoke", create=True).run("cell")
-    held = threading.Event()
+    held, refused = threading.Event(), threading.Event()
 
     def hold() -> None:
         with RunFolder(run.path).lock():
             held.set()
-            time.sleep(0.3)
+            refused.wait()
+            time.sleep(0.2)  # the test waits meanwhile; if it comes later, nothing is lost
 
-    other = threading.Thread(target=hold)
+    other = threading.Thread(target=hold, daemon=True)
     other.start()
-    assert held.wait(10)
+    held.wait()
     with pytest.raises(BenchmarkError, match="another process"), run.lock():
         pass
-    with run.lock(wait=30.0):
+    refused.set()
+    with run.lock(wait=100.0):
         pass
     other.join()
 

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 OPERATIONS = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree"}
+PATIENCE = 400.0  # seconds; only what hangs takes so long, on a slow and busy machine too
 
 
 class FileOperations:
@@ -77,7 +78,7 @@ class Forked:
         with suppress(ProcessLookupError):  # it has ended
             os.kill(int(str(self.process.pid)), number)
 
-    def wait(self, seconds: float = 250.0) -> int:
+    def wait(self, seconds: float = PATIENCE) -> int:
         self.process.join(seconds)
         if (code := self.process.exitcode) is None:
             raise subprocess.TimeoutExpired("fork", seconds)
@@ -86,7 +87,7 @@ class Forked:
 
 def wait_for(condition: Callable[[], Any], log: Path) -> Any:
     """What a condition gives once it holds; a process writes the log meanwhile."""
-    deadline = time.monotonic() + 120.0
+    deadline = time.monotonic() + PATIENCE
     while not (result := condition()):
         assert time.monotonic() < deadline, log.read_text(encoding="utf-8")
         time.sleep(0.02)
