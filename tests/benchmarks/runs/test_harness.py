@@ -6,13 +6,17 @@ import re
 import shutil
 import signal
 import subprocess
+import time
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import pytest
 from rich.console import Console
+from rich.progress import Progress
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
@@ -20,7 +24,7 @@ from benchmarks.protocol.plan import expand
 from benchmarks.runs.backends import Backend, Job
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
-from benchmarks.runs.harness import Harness, Outcome, check_disk
+from benchmarks.runs.harness import Harness, Outcome, bar, check_disk
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.conftest import Command
@@ -46,7 +50,7 @@ def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
     run = Store(tmp_path / "results", "long").run("dqn-optimized-safe-s0")
     wait_for((run.checkpoint / "progress.json").exists, tmp_path / "out.txt")
     process.send_signal(number)
-    code = process.wait(100)
+    code = process.wait()
     wait_for(lambda: checkpoints(run.checkpoint), run.log)
     assert not run.is_complete()
     if number == signal.SIGINT:
@@ -146,13 +150,24 @@ class FakeBackend(Backend):
 
 
 def fake_run(tmp_path: Path, slots: int, scripts: Scripts) -> tuple[Outcome, FakeBackend, str]:
-    """The smoke preset's planners run by a fake backend; returns what a terminal shows."""
+    """The smoke preset's planners run by a fake backend; returns what a terminal shows.
+
+    Between two looks at the runs no time passes, and each is drawn.
+    """
     runs = [{"methods": ["rrt_connect", "optimum"], "geometries": ["optimized", "initial"]}]
     preset = smoke_preset("fake", runs=runs)
     store = Store.open(tmp_path, "fake", create=True)
     terminal = Console(file=io.StringIO(), force_terminal=True, width=400, color_system=None)
     backend = FakeBackend(slots, scripts)
-    outcome = Harness(Insertion(preset), store, backend, terminal).run()
+    bars: list[Progress] = []
+
+    def noted(*arguments: Any) -> Progress:
+        bars.append(bar(*arguments))
+        return bars[-1]
+
+    clock = SimpleNamespace(sleep=lambda _: bars[0].refresh(), perf_counter=time.perf_counter)
+    with mock.patch.multiple("benchmarks.runs.harness", bar=noted, time=clock):
+        outcome = Harness(Insertion(preset), store, backend, terminal).run()
     assert isinstance(terminal.file, io.StringIO)
     return outcome, backend, terminal.file.getvalue()
 
