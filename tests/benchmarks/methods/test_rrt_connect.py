@@ -27,7 +27,7 @@ WALK = st.lists(st.tuples(*[st.floats(-3.0, 3.0) for _ in range(6)]), min_size=1
 
 @pytest.fixture(scope="module")
 def planner() -> RRTConnect:
-    return RRTConnect()
+    return RRTConnect(time_limit=100.0)  # so that the iterations alone end a search
 
 
 def begin(number: int, geometry: str = "optimized") -> Episode:
@@ -69,7 +69,6 @@ def test_plans_do_not_touch_the_environment_and_lead_near_the_hole(planner: RRTC
         before = episode.env.state
         plan = planner.plan(episode.env)
         assert episode.env.state == before
-        assert plan.seconds < 2 * planner.time_limit
         if plan.moves is None:
             continue
         planned += 1
@@ -112,7 +111,10 @@ def test_closing_the_loop_by_lattice_search_solves_more(planner: RRTConnect) -> 
     assert closed >= best - 1
 
 
-def test_the_iteration_limit_binds(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("limits", [(math.inf, 200), (0.1, 10**12)], ids=["iterations", "time"])
+def test_either_limit_ends_a_search(
+    limits: tuple[float, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     env = begin(0).env
     start, goal = env.configuration, alignment_pose(env, env.configuration, env.state["target"])
 
@@ -122,10 +124,9 @@ def test_the_iteration_limit_binds(monkeypatch: pytest.MonkeyPatch) -> None:
         return 0 if min(lag) < 0.2 else 1
 
     monkeypatch.setattr(env, "configuration_status", islands)
-    plan = RRTConnect(time_limit=60.0, max_iterations=200).plan(env)
+    plan = RRTConnect(*limits).plan(env)
     assert plan.moves is None
     assert plan.status == "no plan (3-RRS)"
-    assert plan.seconds < 30.0
 
 
 def test_a_failed_plan_ends_the_episode_with_its_cause() -> None:
