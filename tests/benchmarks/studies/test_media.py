@@ -64,14 +64,15 @@ def test_the_twin_is_shown_where_it_really_is(monkeypatch: pytest.MonkeyPatch) -
     pytest.importorskip("mujoco", reason="needs the extra physics")
     opened: list[Viewer] = []
 
-    def view(env: CoopInsertionEnv, act: Act, **where: Any) -> None:
-        opened.append(Viewer(env, act, **where))
+    def view(env: CoopInsertionEnv, act: Act, host: str, port: int) -> None:
+        assert port == 7
+        with socket.socket() as probe:  # only now, so that no other process takes it meanwhile
+            probe.bind((host, 0))
+            free = int(probe.getsockname()[1])
+        opened.append(Viewer(env, act, host=host, port=free))
 
     monkeypatch.setattr(media, "view", view)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    assert main(["watch", "--twin", "--port", str(port)]) == 0
+    assert main(["watch", "--twin", "--port", "7"]) == 0
     viewer = opened[0]
     try:
         env: Any = viewer.env

@@ -18,10 +18,11 @@ from benchmarks.studies.robots.physics import Physics
 from benchmarks.studies.robots.transfer import Transfer
 from benchmarks.studies.robots.trials import inserter
 from coop_env.simulation.sim_to_real import FORGE, draw_disturbance
+from tests.process import ROOT
 
 pytest.importorskip("mujoco", reason="needs the extra physics")
 
-RESULTS = Path("results")
+RESULTS = ROOT / "results"
 
 
 def _optimum(world: str, seed: int) -> dict[str, Any]:
