@@ -69,7 +69,7 @@ def test_a_band_over_few_evaluations_has_intervals_at_these_alone() -> None:
 
 
 def test_figures_need_no_torch(tmp_path: Path) -> None:
-    store = fabricated_store.make_store(tmp_path, range(5))
+    store = fabricated_store.make_store(tmp_path, range(2))
     code = (
         "import sys, benchmarks.reporting.verify, benchmarks.reporting.science;"
         "from benchmarks.cli import main;"

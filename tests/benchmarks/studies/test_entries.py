@@ -201,6 +201,10 @@ def masks(env):
     return f"{env.params.task.mask_singularities} {env.params.task.visited}"
 
 
+def nothing(env):
+    return []
+
+
 def cheat(env):
     env.step(int(env.action_masks().argmax()))
     return [0]
@@ -260,13 +264,13 @@ def test_a_planner_that_does_wrong_is_one_error(
     assert message in refused(*command(planners, *given))
     assert not list(planners.rglob("meta.json"))
     # and its name is free
-    done(*command(planners, "--planner", "my_planner:moves", "--name", "wrong"))
+    done(*command(planners, "--planner", "my_planner:nothing", "--name", "wrong"))
 
 
 def test_a_planner_that_was_edited_is_another_one(
     planners: Path, done: Command, refused: Command
 ) -> None:
-    words = command(planners, "--planner", "my_planner:moves", "--name", "ppo_mine")
+    words = command(planners, "--planner", "my_planner:nothing", "--name", "ppo_mine")
     done(*words)  # its name begins like a learner's
     assert check_runs(Store.open(planners, "smoke")) == []
     with (planners / "my_planner.py").open("a", encoding="utf-8") as stream:

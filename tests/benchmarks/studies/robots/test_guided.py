@@ -27,7 +27,7 @@ METHODS = ("sac", "crossq", "td3", "ppo", "rainbow", "dqn", "bc")
 
 
 def tiny(steps: int = 120, noise: float = 0.0) -> SuitePreset:
-    """The preset's own task and settings, for a few steps."""
+    """The preset's own task and settings, for a few steps and of shorter episodes."""
     preset = load_suite("contact")
     task: Any = preset.tasks["standard"]
     short: dict[str, dict[str, Any]] = {name: dict(task.methods[name]) for name in METHODS}
@@ -38,8 +38,9 @@ def tiny(steps: int = 120, noise: float = 0.0) -> SuitePreset:
     short["ppo"] = {"n_steps": 60, "batch_size": 20}
     guide = replace(task.guide, steps=80, noise=noise)
     task = replace(
-        task, timesteps=steps, eval_every=60, eval_episodes=1, methods=short, guide=guide
-    )
+        task, timesteps=steps, eval_every=60, eval_episodes=1, methods=short, guide=guide,
+        env_kwargs={**task.env_kwargs, "max_steps": 25},
+    )  # fmt: skip
     return replace(preset, tasks={"standard": task}, final_episodes=1)
 
 

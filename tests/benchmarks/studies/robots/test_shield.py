@@ -11,7 +11,7 @@ from coop_env import CoopInsertionEnv
 from coop_env.shield import KinematicShield
 from coop_env.shield.certificate import Certificate, check_product, lattice
 
-SMALL = ["--phases", "3", "--moves", "200", "--episodes", "1", "--seeds", "2", "--no-full"]
+SMALL = ["--phases", "1", "--moves", "100", "--episodes", "1", "--seeds", "2", "--no-full"]
 SMALL += ["--machines", "1"]
 
 
@@ -20,6 +20,7 @@ def test_the_command_writes_what_it_prints_and_goes_on(
 ) -> None:
     here = site("shield")
     monkeypatch.setattr(shield, "CONFIGURATIONS", 20)
+    monkeypatch.setattr(shield, "MOVES", 500)
     words = ["--results", str(here.results), *SMALL]
     with monkeypatch.context() as patched:
         patched.setattr(shield, "harm_of", _interrupted)
@@ -33,7 +34,7 @@ def test_the_command_writes_what_it_prints_and_goes_on(
     assert parts["certificate"]["sampled"]["harmful"] == 0
     for name in ERRORS:
         assert parts[f"{name}: shielded"]["collisions"] == 0
-        assert parts[f"{name}: shielded"]["moves"] == 200
+        assert parts[f"{name}: shielded"]["moves"] == 100
     bare, guarded = (row for row in parts["prices"] if row["masks"] == "paper's")
     assert sum(bare["harm"]) > 0.0
     assert guarded["harm"] == [0.0, 0.0]
