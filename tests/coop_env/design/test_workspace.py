@@ -25,8 +25,9 @@ def test_the_tables_other_figures() -> None:
     initial, optimized = design.measure(INITIAL), design.measure(OPTIMIZED)
     assert initial.sigma_cone == pytest.approx(0.078, abs=5e-4)
     assert optimized.sigma_cone == pytest.approx(0.210, abs=5e-4)
-    assert 31.0 <= math.degrees(initial.max_angle) <= 32.0
-    assert math.degrees(optimized.max_angle) == pytest.approx(41.0, abs=0.5)
+    # the centres of cells stand at half degrees: a bound at one would ask for the last bit
+    assert 31.0 < math.degrees(initial.max_angle) < 32.0
+    assert 40.1 < math.degrees(optimized.max_angle) < 41.9
     for result in (initial, optimized):  # Omega respects the limits it is defined by
         assert result.joint_low >= math.radians(12.0)
         assert result.joint_high <= math.radians(78.0)

@@ -1,7 +1,6 @@
 """The twin behind the protocol of a machine, and policies that drive a machine through it."""
 
 import threading
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +21,8 @@ DOWN = 5
 LAG = np.array([0.004, 0.004, 0.004, 0.0, 0.0, 0.0])
 ERROR_BOUND = 0.02
 """rad by which the twin may be off on its way, as docs/trajectory.md says."""
+PATIENCE = 120.0
+"""s: an answer is never late, however slow and busy the processor."""
 
 
 def joints_at(configuration: np.ndarray) -> np.ndarray:
@@ -51,7 +52,7 @@ class Obedient:
 def drive(driver: Driver, machine: Machine = MACHINE, **arguments: Any) -> Replayed:
     """Down onto the first hole, unless the arguments say otherwise."""
     action = arguments.pop("action", DOWN)
-    arguments = {"target": 0, "holes": 1, **arguments}
+    arguments = {"target": 0, "holes": 1, "patience": PATIENCE, **arguments}
     return replay(lambda observation, masks: action, driver, machine, **arguments)
 
 
@@ -94,7 +95,8 @@ def test_the_policy_sees_what_the_machine_reports() -> None:
         seen.append(observation)
         return DOWN
 
-    result = replay(policy, driver, MACHINE, target=0, holes=1, max_moves=2, normalize=False)
+    arguments: dict[str, Any] = {"target": 0, "holes": 1, "normalize": False}
+    result = replay(policy, driver, MACHINE, max_moves=2, patience=PATIENCE, **arguments)
     assert result.moves == 2
     assert result.error == pytest.approx(0.004)
     assert seen[0][2] - seen[1][2] > 0.02 + 0.0005  # deeper than the move
@@ -128,13 +130,12 @@ def test_moves_that_are_not_free_are_not_commanded() -> None:
 
 
 def test_a_machine_that_stops_answering() -> None:
-    driver, wait = Obedient(), threading.Event()
-    driver.force = lambda: wait.wait(30.0)  # type: ignore[method-assign]
-    began = time.monotonic()
-    with pytest.raises(DriverError, match=r"within 0\.3 s; its last command holds"):
-        drive(driver, patience=0.3)
-    assert time.monotonic() - began < 5.0
-    wait.set()
+    """Its force comes only when the test is over; all else answers within the patience."""
+    driver, over = Obedient(), threading.Event()
+    driver.force = over.wait  # type: ignore[method-assign]
+    with pytest.raises(DriverError, match=r"wait within 1 s; its last command holds"):
+        drive(driver, patience=1.0)
+    over.set()
     assert len(driver.commands) == 1
     assert driver.at == pytest.approx(driver.commands[0].positions[-1])
 
