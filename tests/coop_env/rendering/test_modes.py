@@ -78,8 +78,9 @@ def test_human_mode_is_gymnasiums_window_of_the_frames() -> None:
 
 
 def test_record_video_writes_a_file_that_plays(tmp_path: Path) -> None:
-    env = gym.make(ID, render_mode="rgb_array", max_moves=6)
-    env = RecordVideo(env, str(tmp_path / "video"), disable_logger=True)
+    made: Any = gym.make(ID, render_mode="rgb_array", max_moves=6)
+    made.unwrapped.render_kwargs = {"size": (320, 240)}
+    env = RecordVideo(made, str(tmp_path / "video"), disable_logger=True)
     env.reset(seed=0)
     _step(env, 6)
     env.close()

@@ -1,5 +1,6 @@
 """Sim-to-real knobs: each does what it says, from the seed alone, and off means off."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,20 +19,26 @@ from coop_env.simulation.sim_to_real import RANDOMIZED
 from coop_env.simulation.state import state_dtype
 
 
-def insertions(knobs: SimToReal | None, starts: int) -> float:
+@cache
+def nominal_optimum(target: int, *configuration: float) -> list[int] | None:
+    env = CoopInsertionEnv()
+    env.reset(options={"configuration": configuration, "target": target})
+    moves = LatticeOracle().plan(env).moves
+    return None if moves is None else moves.tolist()
+
+
+def insertions(knobs: SimToReal, starts: int) -> float:
     """Share of starts in which the nominal machine's optimum inserts in the real one."""
-    real, nominal, oracle = CoopInsertionEnv(sim_to_real=knobs), CoopInsertionEnv(), LatticeOracle()
+    real = CoopInsertionEnv(sim_to_real=knobs)
     done = total = 0
     for seed in range(starts):
         real.reset(seed=seed)
-        start = {"configuration": real.configuration, "target": int(real.state["target"])}
-        nominal.reset(options=start)
-        moves = oracle.plan(nominal).moves
+        moves = nominal_optimum(int(real.state["target"]), *real.configuration.tolist())
         if moves is None:
             continue
         total += 1
         late = int(real.state["machine"]["latency"])
-        for move in [*moves.tolist(), *[0] * late]:
+        for move in [*moves, *[0] * late]:
             _, _, terminated, _, info = real.step(move)
             if info["inserted"] or terminated:
                 done += int(info["inserted"])

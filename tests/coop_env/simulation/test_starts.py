@@ -15,7 +15,7 @@ def test_no_start_is_ever_invalid(geometry: str) -> None:
     env.reset(seed=0)
     targets = np.zeros(6, int)
     clearances = []
-    starts = np.empty((20_000, 6))
+    starts = np.empty((5_000, 6))
     for c in starts:
         env.reset()
         state = env._states[0]
@@ -25,19 +25,19 @@ def test_no_start_is_ever_invalid(geometry: str) -> None:
         targets[state["target"]] += 1
         clearances.append(state["tip"][2] - c[5] - env.task.dome_radius)
     assert rrs.signed_sigma_min(starts[:, 3:], GEOMETRIES[geometry]).min() >= 0.15
-    assert np.all(np.abs(targets / len(starts) - 1 / 6) < 0.01)
+    assert np.all(np.abs(targets / len(starts) - 1 / 6) < 0.02)
     lows, highs = starts.min(axis=0), starts.max(axis=0)
-    assert np.all(lows[:2] < -0.0599)
+    assert np.all(lows[:2] < -0.0595)
     assert np.all(lows[:2] >= -0.06)
-    assert np.all(highs[:2] > 0.0599)
+    assert np.all(highs[:2] > 0.0595)
     assert np.all(highs[:2] <= 0.06)
     assert lows[3:5].min() >= -0.5
     assert highs[3:5].max() <= 0.5
     assert highs[3:5].max() > 0.4
-    assert lows[5] == pytest.approx(p.rrs.heave_min, abs=1e-4)
-    assert highs[5] == pytest.approx(p.rrs.heave_max, abs=1e-4)
-    assert 0.05 <= min(clearances) < 0.0501
-    assert 0.1499 < max(clearances) <= 0.15 + 1e-12
+    assert lows[5] == pytest.approx(p.rrs.heave_min, abs=2e-4)
+    assert highs[5] == pytest.approx(p.rrs.heave_max, abs=2e-4)
+    assert 0.05 <= min(clearances) < 0.0505
+    assert 0.1495 < max(clearances) <= 0.15 + 1e-12
 
 
 @pytest.mark.parametrize(
