@@ -29,8 +29,9 @@ for (const page of PAGES) for (const width of WIDTHS) {
   frame.src = page;
   waiting.push(new Promise(done => { frame.onload = function look() {
     const raw = [...frame.contentDocument.querySelectorAll(TABLES)];
-    if (raw.some(table => !table.closest('.wy-table-responsive'))) return setTimeout(look, 200);
     const root = frame.contentDocument, text = root.querySelector('[itemprop=articleBody]');
+    if (root.fonts.status !== 'loaded' || raw.some(table => !table.closest('.wy-table-responsive')))
+      return setTimeout(look, 200);
     const boxes = [...text.querySelectorAll('.wy-table-responsive, pre, div.math')];
     found[`${page} ${width}`] = [
       text.getBoundingClientRect().height,
@@ -78,7 +79,8 @@ def measure(site: Path, chromium: str) -> list[Page]:
     with tempfile.TemporaryDirectory() as folder:
         frames = Path(folder) / "frames.html"
         frames.write_text(f"<body><script>{script}</script></body>", encoding="utf-8")
-        words = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-web-security",
+        words = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+                 "--disable-web-security",
                  "--allow-file-access-from-files", f"--user-data-dir={folder}/profile",
                  "--virtual-time-budget=600000", "--dump-dom", frames.as_uri()]  # fmt: skip
         done = subprocess.run([chromium, *words], capture_output=True, text=True, check=False)
