@@ -33,7 +33,7 @@ KINEMATICS = """
 import numpy as np
 import coop_env.env
 from coop_env.kinematics import delta
-print(delta.jacobian(np.array([0.0, 0.0, -0.5])).sum().round(9))
+print(delta.inverse(np.array([0.0, 0.0, -0.5])).theta.sum().round(9))
 """
 
 
@@ -42,7 +42,7 @@ def run(*words: str, **environment: str) -> CompletedProcess[str]:
     unset = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
     kept = {name: value for name, value in os.environ.items() if name not in unset}
     places = {"PYTHONPATH": str(ROOT), "NUMBA_OPT": "1", **environment}
-    return python(*words, env={**kept, **places}, cwd="/", timeout=200)  # not where this clone is
+    return python(*words, env={**kept, **places}, cwd="/")  # not where this clone is
 
 
 def told(done: CompletedProcess[str]) -> list[str]:
@@ -51,7 +51,7 @@ def told(done: CompletedProcess[str]) -> list[str]:
 
 
 def test_a_cold_cache_is_announced_once_and_first_and_is_sound(tmp_path: Path) -> None:
-    """Also where two processes fill it at once."""
+    """Also where two processes fill it at once; one that starts late may find it filled."""
 
     def start(code: str) -> CompletedProcess[str]:
         return run("-c", code, NUMBA_CACHE_DIR=str(tmp_path))
@@ -59,14 +59,15 @@ def test_a_cold_cache_is_announced_once_and_first_and_is_sound(tmp_path: Path) -
     with ThreadPoolExecutor(2) as pool:
         cold = [*pool.map(start, [BEGINS + KINEMATICS] * 2)]
     warm = start(KINEMATICS)
-    for done in cold:
-        report, begins = told(done)
+    announced = [lines for done in cold if (lines := told(done))]
+    assert announced
+    for report, begins in announced:
         assert report.startswith("coop_env: compiling kernels (")
         assert report.endswith(
             " of a processor core), once after an install: then they come from numba's cache"
         )
         assert begins == "numba begins compiling"
-        assert done.stdout == warm.stdout
+    assert {done.stdout for done in cold} == {warm.stdout}
     assert told(warm) == []
 
 
