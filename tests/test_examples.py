@@ -1,14 +1,15 @@
 """Each example runs in its short form, in an empty folder, and does what it says."""
 
 import json
-import os
 import re
+import runpy
+import sys
 from pathlib import Path
 
 import pytest
 
 from sb3_rainbow import Rainbow
-from tests.process import ROOT, python
+from tests.process import ROOT
 
 NOTEBOOK = ROOT / "examples" / "rainbow.ipynb"
 STEPS = 200  # of the notebook's trainings: past their first updates
@@ -37,24 +38,31 @@ def test_every_example_is_tried() -> None:
     assert {path.stem for path in (ROOT / "examples").glob("*.py")} == set(SHORT)
 
 
-def run(*words: str, folder: Path) -> str:
-    """What a program prints that is run in ``folder`` and finds the packages of this clone."""
-    done = python(*words, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)})
-    assert "Warning" not in done.stderr
-    return done.stdout
+@pytest.fixture(autouse=True)
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To run in; a variable that an example sets is as it was afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(ROOT / "results" / "data"))
 
 
 @pytest.mark.parametrize("name", sorted(SHORT))
-def test_an_example_does_what_it_says(name: str, tmp_path: Path) -> None:
+def test_an_example_does_what_it_says(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     number, said, left = SHORT[name]
-    printed = run("-m", f"examples.{name}", number, folder=tmp_path)
+    monkeypatch.setattr(sys, "argv", [name, number])
+    ended: list[object] = []
+    monkeypatch.setattr(sys, "exit", ended.append)  # the last that some do
+    runpy.run_module(f"examples.{name}", run_name="__main__")
+    assert not any(ended)
+    printed = capsys.readouterr().out
     assert re.search(said, printed, re.MULTILINE), printed
     for model in left:
         assert Rainbow.load(tmp_path / model, buffer_size=1).policy is not None
     assert {path.name for path in tmp_path.iterdir()} <= {"build", "results"}
 
 
-def test_the_notebook_runs(tmp_path: Path) -> None:
+def test_the_notebook_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """All cells but the one that installs, as one program; its trainings are shortened."""
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
@@ -62,7 +70,8 @@ def test_the_notebook_runs(tmp_path: Path) -> None:
     program, trainings = re.subn(r"learn\([\d_]+\)", f"learn({STEPS})", "\n".join(codes[1:]))
     assert trainings == 2
     assert all(not cell.get("outputs") for cell in cells)
-    printed = run("-c", program, folder=tmp_path)
+    exec(program, {"__name__": "__main__"})
+    printed = capsys.readouterr().out
     assert re.search(r"return: \d+", printed)
     assert re.search(r"holes filled: \d of 6", printed)
     assert (tmp_path / "scene.png").stat().st_size > 0
