@@ -40,6 +40,17 @@ def masks(n: int, n_actions: int) -> np.ndarray:
     return result
 
 
+def assert_chosen(model: Rainbow, observations: Any, actions: Any, masks: Any = None) -> None:
+    """As the model chooses, but where two values are the same up to rounding."""
+    tensors, _ = model.policy.obs_to_tensor(observations)
+    q_values, rows = model.q_net(tensors).detach().numpy(), np.arange(len(actions))
+    expected, _ = model.predict(observations, deterministic=True, action_masks=masks)
+    assert np.mean(actions == expected) > 0.95
+    best = q_values[rows, expected]
+    np.testing.assert_allclose(q_values[rows, actions], best, rtol=1e-4, atol=1e-4)
+    assert masks is None or masks[rows, actions].all()
+
+
 def images() -> FakeImageEnv:
     return FakeImageEnv(screen_height=40, screen_width=40, n_channels=2)
 
@@ -65,14 +76,13 @@ def test_a_thousand_actions_in_onnx(
     if isinstance(observations, dict):
         feed = {f"observations_{key}": value for key, value in observations.items()}
     actions, q_values = runtime.run(None, feed)
-    np.testing.assert_array_equal(actions, model.predict(observations, deterministic=True)[0])
+    assert_chosen(model, observations, actions)
     with th.no_grad():
         tensors, _ = model.policy.obs_to_tensor(observations)
         np.testing.assert_allclose(q_values, model.q_net(tensors), rtol=1e-4, atol=1e-4)
     allowed = masks(1000, model.q_net.n_actions)
     masked, _ = runtime.run(None, {**feed, "action_masks": allowed})
-    expected, _ = model.predict(observations, deterministic=True, action_masks=allowed)
-    np.testing.assert_array_equal(masked, expected)
+    assert_chosen(model, observations, masked, allowed)
     assert (masked != actions).any()
     one = {name: value[:1] for name, value in feed.items()}
     assert runtime.run(["actions"], one)[0] == actions[:1]
@@ -102,8 +112,7 @@ def test_a_program_of_torchs_acts_alike_once_it_is_loaded(tmp_path: Path) -> Non
     observations = drawn(model.observation_space, 50)
     allowed = masks(50, 3)
     actions, _ = program(th.as_tensor(observations), th.as_tensor(allowed))
-    expected, _ = model.predict(observations, deterministic=True, action_masks=allowed)
-    np.testing.assert_array_equal(actions, expected)
+    assert_chosen(model, observations, actions.numpy(), allowed)
 
 
 class Branching(nn.Module):
