@@ -61,7 +61,8 @@ assert main(["tables", "--preset", "smoke", "--results", OUT]) == 0
 from benchmarks.protocol.presets import load_suite
 from benchmarks.studies.classic.train import build_model
 for preset in ("control", "minatar", "changes", "atari100k"):
-    for task in load_suite(preset).tasks.values():
+    tasks = load_suite(preset).tasks.values()
+    for task in {task.env.partition("/")[0]: task for task in tasks}.values():  # one of a package
         build_model(task, "rainbow", 0)
 """,
     "zoo": """
