@@ -4,16 +4,9 @@ from collections.abc import Callable, Iterator
 from multiprocessing import get_all_start_methods
 
 import pytest
-from hypothesis import HealthCheck, settings
 
 from benchmarks.cli import main
 from tests.benchmarks.runs.warm import children, warm_up
-
-# the same examples everywhere, however slow the machine: by default each has 200 ms
-settings.register_profile(
-    "steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
-)
-settings.load_profile("steady")
 
 Command = Callable[..., str]
 

@@ -49,7 +49,7 @@ def lowered() -> Trajectory:
     return make_trajectory([HOME, LOW])
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), moves=st.integers(1, 15), blend=st.booleans())
 @example(seed=4767, moves=8, blend=False)  # meets a singularity between two stops
 def test_no_sample_exceeds_a_limit_and_every_configuration_is_met(

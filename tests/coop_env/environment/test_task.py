@@ -115,7 +115,7 @@ def test_the_time_bonus_and_the_bound_of_the_error() -> None:
     np.testing.assert_allclose(a, 2.0 * b, atol=1e-6)
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 @given(
     tilt=st.floats(0.0, 0.4),
     planar=st.floats(0.0, 0.05),

@@ -24,7 +24,7 @@ AT = st.tuples(st.sampled_from(sorted(GEOMETRIES)), TILT, TILT, st.floats(0.21, 
 
 def everywhere(test: Callable[[At], None]) -> Callable[[], None]:
     """At poses (geometry, roll, pitch, heave) that hypothesis draws."""
-    return settings(max_examples=200, deadline=None, derandomize=True)(given(at=AT)(test))
+    return settings(max_examples=200)(given(at=AT)(test))
 
 
 def _golden() -> list[dict[str, str]]:

@@ -34,7 +34,7 @@ def least(a: Points, b: Points) -> float:
     return float(np.linalg.norm(a[:, None] - b[None], axis=-1).min())
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150)
 @given(point, point, point, point)
 def test_segment_distance_is_the_least_over_both_segments(
     a: Point, b: Point, c: Point, d: Point
@@ -46,7 +46,7 @@ def test_segment_distance_is_the_least_over_both_segments(
     assert abs(got - segment_distance(c, d, b, a)) < 1e-9
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(point, point, point)
 def test_point_segment_distance(p: Point, a: Point, b: Point) -> None:
     got = point_segment_distance(p, a, b)

@@ -59,7 +59,7 @@ def test_projection_by_hand(reward: float, discount: float, expected: list[float
     assert projected == pytest.approx(expected, abs=1e-6)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     n_atoms=st.integers(2, 60),
     reward=st.floats(-30, 30),

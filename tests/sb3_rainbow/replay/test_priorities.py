@@ -144,7 +144,7 @@ def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
     assert (actions != actions.round()).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     capacity=st.integers(1, 700),
     n_updates=st.integers(1, 5),
