@@ -43,14 +43,16 @@ class Rainbow(ResumableAlgorithm):
     ``n_steps`` (off: 1), ``noisy`` (off: epsilon-greedy alone), ``distributional`` (off: Huber loss
     on scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
 
-    The defaults are for small tasks, of some ten thousand steps: a higher rate, more updates and a
-    target that follows sooner than in Hessel et al., quantiles, which need no support, and a little
-    epsilon, as noise alone tries some actions too seldom. ``Rainbow(..., **sb3_rainbow.HESSEL)``
-    has theirs, which are for 200 million frames of Atari and learn nothing on small tasks.
+    The defaults are for small tasks, of some ten thousand steps: a higher rate that falls, more
+    updates and a target that follows sooner than in Hessel et al., quantiles, which need no
+    support, and a little epsilon, as noise alone tries some actions too seldom. ``Rainbow(...,
+    **sb3_rainbow.HESSEL)`` has theirs, which are for 200 million frames of Atari and learn nothing
+    on small tasks.
 
     Args:
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.
         learning_rate: learning rate, or a function of the remaining progress (from 1 to 0).
+            ``None`` (default) falls linearly from 1e-3 to 1e-4; with ``CnnPolicy`` it is 1e-4.
             ``None`` (default) is 1e-3, with ``CnnPolicy`` 1e-4.
         buffer_size: transitions in the replay buffer, over all envs.
         learning_starts: steps of random (allowed) actions before learning starts.
@@ -220,7 +222,8 @@ class Rainbow(ResumableAlgorithm):
         if given["tau"] is None:
             self.tau = settings.default_tau(self.target_update_interval)
         if given["learning_rate"] is None:  # for images SB3's: ours was searched on perceptrons
-            self.learning_rate = 1e-4 if issubclass(self.policy_class, CnnPolicy) else 1e-3
+            falling = LinearSchedule(1e-3, 1e-4, end_fraction=1.0)
+            self.learning_rate = 1e-4 if issubclass(self.policy_class, CnnPolicy) else falling
         had_quantiles = given["distributional"] is None and self._support in ((), [])
         ends = (None, None) if had_quantiles else (self.v_min, self.v_max)
         head = settings.head_and_support(self.distributional, *ends)

@@ -156,7 +156,8 @@ def test_hessel_et_als_settings_are_those_of_their_table() -> None:
     assert all(isinstance(layer, NoisyLinear) for layer in model.q_net.layers)
     assert {layer.sigma0 for layer in model.q_net.layers} == {0.5}
     assert model.policy.optimizer.param_groups[0]["eps"] == 1.5e-4
-    assert make().learning_rate == 1e-3
+    schedule = make().lr_schedule
+    assert [schedule(p) for p in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 5.5e-4, 1e-4])
 
 
 def test_the_target_moves_at_every_update_or_at_an_interval() -> None:

@@ -203,7 +203,7 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
     assert (loaded.tau, loaded.prioritized, loaded.n_steps) == (5e-3, True, 3)
     assert Rainbow.load(path, tau=None, target_update_interval=100).tau == 1.0
     assert Rainbow.load(path).tau == 0.5
-    assert Rainbow.load(path, learning_rate=None).learning_rate == 1e-3
+    assert Rainbow.load(path, learning_rate=None).lr_schedule(0.0) == pytest.approx(1e-4)
     assert Rainbow.load(path, distributional=None).distributional == "quantile"
     assert isinstance(loaded.action_space, spaces.Discrete)
     with pytest.raises(ValueError, match="tau"):
