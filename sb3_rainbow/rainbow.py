@@ -53,7 +53,6 @@ class Rainbow(ResumableAlgorithm):
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.
         learning_rate: learning rate, or a function of the remaining progress (from 1 to 0).
             ``None`` (default) falls linearly from 1e-3 to 1e-4; with ``CnnPolicy`` it is 1e-4.
-            ``None`` (default) is 1e-3, with ``CnnPolicy`` 1e-4.
         buffer_size: transitions in the replay buffer, over all envs.
         learning_starts: steps of random (allowed) actions before learning starts.
         batch_size: transitions per update.

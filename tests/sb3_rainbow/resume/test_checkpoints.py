@@ -37,9 +37,8 @@ def test_two_runs_with_one_seed_are_identical(n_envs: int, noisy: bool) -> None:
 def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool, again: bool) -> None:
     """Also where the loaded model is saved again before it goes on."""
     # Annealing depends on a run's length: constant schedules make both runs comparable.
-    settings: dict[str, Any] = {
-        **{"noisy": noisy, "learning_rate": 1e-3, "beta_end": 0.4, "exploration_final_eps": 1.0}
-    }
+    settings: dict[str, Any] = {"noisy": noisy, "beta_end": 0.4, "exploration_final_eps": 1.0}
+    settings["learning_rate"] = 1e-3
     whole = make(**settings).learn(500)
 
     first = make(**settings).learn(350)
