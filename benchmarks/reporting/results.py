@@ -242,12 +242,12 @@ class Group:
 
 
 class Results:
-    """All complete runs of a store."""
+    """All complete runs of a store; ``settings`` are their tracks', as run or as planned."""
 
     def __init__(self, store: Store) -> None:
         self.store = store
         self.design: RunFolder | None = None
-        planned, self._settings = _planned(store)
+        planned, self.settings = _planned(store)
         self.design_planned = bool(planned.pop((DESIGN, "full", "optimized", ""), 0))
         self.planned = sum(planned.values())  # runs, beside the design
         runs: dict[Key, list[Result]] = {}
@@ -268,11 +268,11 @@ class Results:
                     "or move it away"
                 )
             if "track" in run.config:  # what was run counts, not what the preset says today
-                self._settings[cell["track"]] = run.config["track"]
+                self.settings[cell["track"]] = run.config["track"]
         self.groups = {
             key: Group(
                 *key,
-                settings=self._settings.get(key[3]),
+                settings=self.settings.get(key[3]),
                 runs=tuple(sorted(runs.get(key, []), key=attrgetter("seed"))),
                 planned=planned[key],
             )
@@ -284,20 +284,16 @@ class Results:
     ) -> Group:
         """The runs of one configuration, whether it was run or not."""
         key = (method, ablation, geometry, track)
-        return self.groups.get(key) or Group(*key, settings=self._settings.get(track))
+        return self.groups.get(key) or Group(*key, settings=self.settings.get(track))
 
     def tracks(self, teams: bool = False) -> list[str]:
         """Tracks of robots that move in turn, or with ``teams`` at once; the usual ones first."""
         tracks = in_order({key[3] for key in self.groups if key[3]})
-        return [t for t in tracks if bool((self.settings(t) or {}).get("team")) == teams]
-
-    def settings(self, track: str) -> dict[str, Any] | None:
-        """What a track's runs were given, or their preset; None where there is neither."""
-        return self._settings.get(track)
+        return [t for t in tracks if bool(self.settings.get(t, {}).get("team")) == teams]
 
     def uncertain(self, track: str) -> bool:
         """Whether a track's machine stands where the model does not know."""
-        return bool((self.settings(track) or {}).get("sim_to_real"))
+        return bool(self.settings.get(track, {}).get("sim_to_real"))
 
     def all(self) -> list[Result]:
         """Every run but the geometric optimization."""
@@ -365,9 +361,7 @@ def complete(result: Iterable[Group]) -> list[Group]:
 def best(result: Iterable[Group]) -> Group | None:
     """The complete one with the highest success rate, then with the most holes."""
     return max(
-        complete(result),
-        key=lambda row: (row.success().mean, row.value(HOLES).mean),
-        default=None,
+        complete(result), key=lambda row: (row.success().mean, row.value(HOLES).mean), default=None
     )
 
 
@@ -387,14 +381,14 @@ def _planned(store: Store) -> tuple[Counter[Key], dict[str, dict[str, Any]]]:
     return planned, {name: asdict(track) for name, track in preset.tracks.items()}
 
 
-def tail_mean(curve: pd.DataFrame, column: str, share: float = 0.1) -> float:
-    """Mean over the episodes that ended in the last ``share`` of a training run's steps.
+def tail_mean(curve: pd.DataFrame, column: str) -> float:
+    """Mean over the episodes that ended in the last tenth of a training run's steps.
 
     A row of the curve holds the mean of the episodes since the row before, as many as the count has
     grown by. NaN if no episode ended there.
     """
     ended = curve["episodes"].diff().fillna(curve["episodes"])
-    late = (curve["timesteps"] > (1.0 - share) * curve["timesteps"].max()) & (ended > 0)
+    late = (curve["timesteps"] > 0.9 * curve["timesteps"].max()) & (ended > 0)
     weights = ended[late]
     if not len(weights):
         return math.nan

@@ -81,8 +81,10 @@ def improvement(*tasks: Array, axis: int = -1) -> Any:
     return 0.5 + 0.5 * np.mean(signs, axis=0)
 
 
-def bootstrap(samples: Sequence[Array], statistic: Callable[..., Any]) -> tuple[float, float]:
-    """95 % percentile interval of a statistic of samples, each of which is drawn anew by itself.
+def bootstrap(
+    samples: Sequence[Array], statistic: Callable[..., Any], paired: bool = False
+) -> tuple[float, float]:
+    """95 % percentile interval of a statistic of samples, drawn each by itself or as ``paired``.
 
     With a sample for each task it is the stratified bootstrap of Agarwal et al. 2021. rliable's own
     function is not called because the library it draws with does not import beside current pandas.
@@ -91,7 +93,8 @@ def bootstrap(samples: Sequence[Array], statistic: Callable[..., Any]) -> tuple[
     if min(map(len, samples), default=0) < 2:
         return math.nan, math.nan
     drawn: dict[str, Any] = {"n_resamples": 2_000, "rng": np.random.default_rng(0)}
-    ends = scipy.stats.bootstrap(samples, statistic, method="percentile", **drawn)
+    drawn |= {"paired": paired, "method": "percentile"}
+    ends = scipy.stats.bootstrap(samples, statistic, **drawn)
     low, high = ends.confidence_interval
     return float(low), float(high)
 

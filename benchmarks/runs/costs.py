@@ -61,7 +61,7 @@ def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) ->
     own = measure(experiment, [store])
     elsewhere = cache(lambda: measure(experiment, others))
     result = []
-    for cell in experiment.cells():
+    for cell in experiment.cells:
         folder, config = store.run(cell.id), experiment.settings(cell)
         folder.check_config(config)
         if folder.is_complete():

@@ -44,15 +44,11 @@ class Experiment(ABC, Generic[P]):
             is_file = preset.endswith((".yaml", ".yml"))
             name = str(Path(preset).resolve()) if is_file else preset
         self.recipe: dict[str, Any] = {"preset": name}
-        self._cells = plan.expand(self.preset)
-
-    def cells(self) -> Sequence[Cell]:
-        """The cells, in the order in which they are to begin."""
-        return self._cells
+        self.cells = plan.expand(self.preset)  # in the order in which they are to begin
 
     def find(self, cell_id: str) -> Cell:
         """The cell of that id; BenchmarkError if there is none."""
-        by_id = {cell.id: cell for cell in self.cells()}
+        by_id = {cell.id: cell for cell in self.cells}
         if cell_id not in by_id:
             raise BenchmarkError(
                 f"preset '{self.name}' has no cell '{cell_id}'; the nearest: "

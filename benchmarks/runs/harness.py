@@ -96,7 +96,7 @@ class Harness:
 
     def run(self) -> Outcome:
         """Run every missing cell; Ctrl-C or SIGTERM lets the running ones save and stop."""
-        self._admit(self.experiment.cells())
+        self._admit(self.experiment.cells)
         if not self._queue:
             return self._outcome
         todo = list(self._queue)

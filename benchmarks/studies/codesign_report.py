@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
-from scipy.stats import bootstrap, pearsonr, rankdata
+from scipy.stats import pearsonr, rankdata
 
 from benchmarks.protocol.metrics import METRICS, SUCCESS
 from benchmarks.reporting.figures.style import PALETTE, canvas, legend_below
 from benchmarks.reporting.results import Results
-from benchmarks.reporting.stats import Value, over_seeds
+from benchmarks.reporting.stats import Value, bootstrap, over_seeds
 from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.base import read_stored
@@ -119,10 +119,8 @@ def rank_correlation(x: ArrayLike, y: ArrayLike) -> Value:
     def rho(x: Any, y: Any, axis: int = -1) -> Any:
         return pearsonr(*(rankdata(each, axis=axis) for each in (x, y)), axis=axis).statistic
 
-    drawn: dict[str, Any] = {"n_resamples": 2_000, "rng": np.random.default_rng(0)}
-    drawn |= {"paired": True, "method": "percentile"}
-    low, high = bootstrap(pairs, rho, **drawn).confidence_interval
-    return Value(float(rho(*pairs)), n=pairs.shape[1], low=float(low), high=float(high))
+    low, high = bootstrap([*pairs], rho, paired=True)
+    return Value(float(rho(*pairs)), n=pairs.shape[1], low=low, high=high)
 
 
 def to_markdown(result: SearchResult) -> str:

@@ -112,7 +112,7 @@ class Insertion(Experiment[Preset]):
 
     def problems(self, store: Store) -> list[str]:
         result = check_runs(store)
-        for cell in self.cells():
+        for cell in self.cells:
             try:
                 if (run := store.run(cell.id)).is_complete():
                     run.check_config(self.settings(cell))

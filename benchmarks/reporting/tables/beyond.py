@@ -161,7 +161,7 @@ def uncertain(results: Results) -> Table:
 
 def tasks(results: Results) -> list[str]:
     """Tracks that change the task and nothing else, in the preset's order."""
-    return [track for track in results.tracks() if (results.settings(track) or {}).get("task")]
+    return [track for track in results.tracks() if results.settings.get(track, {}).get("task")]
 
 
 def difficulty(results: Results) -> Table:

@@ -55,13 +55,13 @@ class Replay(Insertion):
 
     def leave_out(self) -> tuple[int, int]:
         """Keep the cells that can play; returns how many have not run, and lack their policy."""
-        for cell in self._cells:
+        for cell in self.cells:
             self.source.run(cell.id).check_config(self.settings(cell))
-        complete = [cell for cell in self._cells if self.source.run(cell.id).is_complete()]
+        complete = [cell for cell in self.cells if self.source.run(cell.id).is_complete()]
         playing = [c for c in complete if not c.learns or self.source.run(c.id).has_policy()]
-        not_run, without_policy = len(self._cells) - len(complete), len(complete) - len(playing)
-        self._cells = [cell for cell in playing if cell.method != DESIGN]
-        if not any(cell.learns for cell in self._cells):
+        not_run, without_policy = len(self.cells) - len(complete), len(complete) - len(playing)
+        self.cells = [cell for cell in playing if cell.method != DESIGN]
+        if not any(cell.learns for cell in self.cells):
             raise BenchmarkError(
                 f"{self.source.folder} has no trained policy to score: run the preset first"
             )
@@ -105,7 +105,7 @@ class Replay(Insertion):
     def compare(self, store: Store, console: Console) -> None:
         """Success of each run in both ways of acting, stored and now, and how many are alike."""
         rows, equal = [], 0
-        for cell in self._cells:
+        for cell in self.cells:
             first, again = (Result.read(s.run(cell.id)) for s in (self.source, store))
             columns = first.episodes.columns.drop("plan_seconds")  # of runs that are older, fewer
             equal += first.episodes[columns].equals(again.episodes[columns])
@@ -135,8 +135,8 @@ def score_again(replay: Replay, console: Console) -> int:
             f"Left out, their policy is not here: {without_policy} runs; git keeps those of "
             "the headline methods, and a run whose folder is deleted is trained again"
         )
-    jobs = min(default_jobs(), len(replay.cells()))
-    console.print(f"{len(replay.cells())} runs play again, {jobs} at a time; Ctrl-C ends it")
+    jobs = min(default_jobs(), len(replay.cells))
+    console.print(f"{len(replay.cells)} runs play again, {jobs} at a time; Ctrl-C ends it")
     which = "test" if replay.starts is None else f"starts-{replay.starts}"
     again = Store.open(replay.results / AGAIN / which, replay.name, create=True)
     with again.lock():  # before what another process may be at work on goes

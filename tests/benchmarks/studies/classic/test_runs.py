@@ -203,7 +203,7 @@ def test_what_cannot_be_built_is_said_before_anything_runs(
     task = dataclasses.replace(preset.tasks["cartpole"], **change)
     one = Classic(dataclasses.replace(preset, tasks={"cartpole": task}, methods=["dqn"]))
     with pytest.raises(BenchmarkError, match=message):
-        one.check(one.cells())
+        one.check(one.cells)
 
 
 def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
