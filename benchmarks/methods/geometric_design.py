@@ -71,18 +71,14 @@ def table_rows(result: Sequence[DesignRun]) -> list[Row]:
             data = np.array([read(m) for m in measured])
             mean = data.mean(axis=0)
             std = data.std(axis=0, ddof=1) if len(data) > 1 else np.zeros(data.shape[1])
-            row[name] = _text(mean, std, digits)
+            shown = [f"{value:.{digits}f}" for value in mean]
+            mean_and_std = f"{shown[0]} ± {std[0]:.{digits}f}"
+            row[name] = f"[{', '.join(shown)}]" if len(shown) == 2 else mean_and_std
             row[f"{name}_mean"], row[f"{name}_std"] = float(mean[0]), float(std[0])
             row[f"{name}_high_mean"] = float(mean[1]) if len(mean) > 1 else None
         row["note"] = notes[metric]
         rows.append(row)
     return rows
-
-
-def _text(mean: np.ndarray, std: np.ndarray, digits: int) -> str:
-    if len(mean) == 2:
-        return f"[{mean[0]:.{digits}f}, {mean[1]:.{digits}f}]"
-    return f"{mean[0]:.{digits}f} ± {std[0]:.{digits}f}"
 
 
 def run_rows(result: Sequence[DesignRun]) -> tuple[list[Row], list[Row]]:

@@ -21,21 +21,6 @@ class Stopped(Exception):
     """Asked to end by a cell that has no checkpoint: what it did is soon done again."""
 
 
-class StopFlag:
-    """True once the process was asked to end, or its ``parent``, the harness, is gone."""
-
-    def __init__(self, parent: int | None = None) -> None:
-        self.parent, self.requested = parent, False
-
-    def __call__(self) -> bool:
-        orphaned = self.parent is not None and os.getppid() != self.parent
-        return self.requested or orphaned
-
-    def set(self, number: int, frame: object) -> None:
-        """Handle a signal."""
-        self.requested = True
-
-
 class ProgressReporter:
     """Tells the harness how far a cell is; raises :class:`Stopped` when asked to end."""
 
@@ -134,13 +119,18 @@ def run_here(
     device: str,
 ) -> int:  # fmt: skip
     """Run one cell in this process and say how it ended; returns the command's exit code."""
-    flag = StopFlag(parent)
+    caught: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, flag.set)
+        signal.signal(number, lambda number, _: caught.append(number))
+
+    def stop_requested() -> bool:
+        """Whether the process was asked to end, or its ``parent``, the harness, is gone."""
+        return bool(caught) or (parent is not None and os.getppid() != parent)
+
     cell = experiment.find(cell_id)
     check_gpu(device)
     folder = store.run(cell.id).path
-    if not run_cell(experiment, cell, store, flag, wait, device):
+    if not run_cell(experiment, cell, store, stop_requested, wait, device):
         print(f"{cell.id}: stopped, {folder} keeps what was saved; the same command resumes")
         return 130
     print(f"{cell.id}: complete, see {folder}")

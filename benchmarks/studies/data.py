@@ -82,7 +82,10 @@ class Recipe:
         """The environment that Minari makes anew."""
         if self.behaviour in CONTACT:
             return gymnasium.make("CoopInsertionContact-v0")
-        return gymnasium.make("CoopInsertion-v0", **arguments_of_the_task())
+        preset, cell = load_preset("cut"), Cell("rainbow", "full", "optimized", TRACK, 0)
+        given = env_arguments(preset, cell, preset.tracks[TRACK])
+        unlike = {name: value for name, value in given.items() if value}  # the defaults
+        return gymnasium.make("CoopInsertion-v0", **unlike)
 
     @property
     def title(self) -> str:
@@ -96,14 +99,6 @@ def recipes(steps: int, contact: bool = False) -> list[Recipe]:
         return [Recipe(name, name, steps) for name in CONTACT]
     small = Recipe("optimum-small", "optimum", min(steps, SMALL))
     return [small, *(Recipe(name, name, steps) for name in BEHAVIOURS)]
-
-
-def arguments_of_the_task() -> dict[str, Any]:
-    """Keyword arguments of the environment that all behave in, without the defaults."""
-    preset = load_preset("cut")
-    cell = Cell("rainbow", "full", "optimized", TRACK, 0)
-    given = env_arguments(preset, cell, preset.tracks[TRACK])
-    return {name: value for name, value in given.items() if value}
 
 
 def play(recipe: Recipe, progress: Callable[[int], None]) -> list[Played]:

@@ -10,17 +10,11 @@ from matplotlib.figure import Figure
 
 from benchmarks.protocol.labels import of_suite
 from benchmarks.protocol.presets import load_suite
+from benchmarks.reporting import stats
 from benchmarks.reporting.blocks import provenance
 from benchmarks.reporting.figures import style
 from benchmarks.reporting.figures.learning import draw
-from benchmarks.reporting.stats import (
-    Array,
-    Value,
-    bootstrap,
-    improvement,
-    interquartile_mean,
-    over_seeds,
-)
+from benchmarks.reporting.stats import Array, Value, over_seeds
 from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.envs import MASKED_IDENTITY
@@ -138,9 +132,9 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
     for method, theirs in scores.items():
         middle = better = Value(math.nan)
         if len(theirs):
-            middle = _by_tasks(theirs.T, interquartile_mean)
+            middle = _by_tasks(theirs.T, stats.interquartile_mean)
         if method != ours and len(theirs) and len(scores[ours]):
-            better = _by_tasks([*scores[ours].T, *theirs.T], improvement)
+            better = _by_tasks([*scores[ours].T, *theirs.T], stats.improvement)
         shown = [with_interval(value, 2) for value in (middle, better)]
         rows.append([of_suite(method), str(len(theirs)), *shown])
     return Table(
@@ -158,7 +152,7 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
 
 def _by_tasks(tasks: Iterable[Array], statistic: Callable[..., Any]) -> Value:
     samples = list(tasks)
-    low, high = bootstrap(samples, statistic)
+    low, high = stats.bootstrap(samples, statistic)
     return Value(float(statistic(*samples)), low=low, high=high)
 
 
