@@ -15,8 +15,12 @@ from rich.console import Console
 
 from benchmarks.errors import TRUSTED, BenchmarkError, at_least
 from benchmarks.protocol.presets import DEFAULT_PRESET, load_preset, preset_names
+from benchmarks.reporting import blocks
 from benchmarks.runs.backends import BACKENDS, Backend
+from benchmarks.runs.cell import check_gpu, opened, run_here
+from benchmarks.runs.costs import print_plan
 from benchmarks.runs.experiment import Experiment
+from benchmarks.runs.harness import Harness, shown
 from benchmarks.runs.store import Store
 from benchmarks.studies import catalogue
 
@@ -59,8 +63,6 @@ def _open(given: Given, create: bool = False) -> tuple[Experiment, Store]:
 
 def run(given: Given) -> int:
     """Everything: what is missing is run, then tables and figures are written."""
-    from benchmarks.runs.harness import Harness
-
     device = _device(given, given.gpus_per_run)
     console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
     with store.lock(), closing(_backend(given)) as backend:
@@ -71,8 +73,6 @@ def run(given: Given) -> int:
 
 def _device(given: Given, gpus_per_run: float = 0.0) -> str:
     """Where networks live; a GPU that no run could use is refused before each fails for itself."""
-    from benchmarks.runs.cell import check_gpu
-
     device = given.device or ("cuda" if gpus_per_run else "cpu")
     if device == "cuda" and catalogue.experiment(given.preset).place:
         raise BenchmarkError(
@@ -97,17 +97,12 @@ def _backend(given: Given) -> Backend:
 
 def plan(given: Given) -> None:
     """The cells of a preset, whether they are complete, and what they cost."""
-    from benchmarks.runs.costs import print_plan
-
     one = catalogue.experiment(given.preset)
     print_plan(one, given.results, Backend(given.jobs).slots, Console(soft_wrap=True))
 
 
 def train(given: Given) -> int:
     """One cell in this process; for a debugger, or a scheduler of one's own."""
-    from benchmarks.runs.cell import run_here
-    from benchmarks.runs.harness import shown
-
     one = catalogue.experiment(given.preset)
     cell, device = one.find(given.cell), _device(given)  # before anything is written
     store = one.open_store(given.results, create=True)
@@ -117,8 +112,6 @@ def train(given: Given) -> int:
 
 def cell(given: Given) -> int:
     """One cell of any experiment, as the harness starts it."""
-    from benchmarks.runs.cell import opened, run_here
-
     one, store = opened(given.experiment, given.recipe, given.store)
     return run_here(one, store, given.cell, given.parent, given.wait, given.device or "cpu")
 
@@ -162,8 +155,6 @@ def _of_stored(method: str) -> Callable[[Given], None]:
 
 def report(given: Given) -> None:
     """Tables and figures of presets and studies, then the blocks of all pages beside the folder."""
-    from benchmarks.reporting import blocks
-
     names = [given.preset] if given.preset else list(catalogue.stores(given.results))
     if not names:
         raise BenchmarkError(f"{given.results} has no results; run: python -m benchmarks run")

@@ -17,6 +17,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.utils import set_random_seed
 
 from benchmarks.methods.base import Chooser, Masks, Observations, Plan, Policy
+from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
 from benchmarks.protocol.metrics import EXPLORING, FIRST, GREEDY, RANDOM_MOVES
@@ -147,8 +148,6 @@ def _player(preset: Preset, cell: Cell, model: Any) -> Player:
                 policy = each_for_itself(policy, env)
             by_policy(policy, cell.seed)(episodes, at, progress)
             return
-        from benchmarks.methods.controls import control
-
         choose = control(cell.method, preset.tracks[cell.track].controls, cell.seed)(episodes)
         if at.exploring:
             seeds = [derive("explore", cell.seed, each.number) for each in episodes]

@@ -17,6 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.methods.episodes import env_arguments
+from benchmarks.methods.guided import Guided, guided
 from benchmarks.methods.team.networks import DecentralizedVecEnv, IndependentPolicy, SumPolicy
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
 from benchmarks.protocol.plan import ABLATIONS, Cell
@@ -86,8 +87,6 @@ def class_of(method: str) -> type[BaseAlgorithm]:
 
 def class_on(task: Task, method: str) -> type[BaseAlgorithm]:
     """The algorithm of a method on a public task, which a script may guide, if it has one."""
-    from benchmarks.methods.guided import Guided, guided
-
     algorithm = class_of(method)
     if task.guide is None and issubclass(algorithm, Guided):
         raise BenchmarkError(f"{task.title}: {method} learns from a script: give the task a guide")

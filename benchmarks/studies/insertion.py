@@ -54,6 +54,8 @@ class Insertion(Experiment[Preset]):
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
         """Train and test a learner, test a control or planner, or optimize the geometry."""
+        from benchmarks.evaluation.evaluate import evaluate_cell
+
         training: dict[str, Any] = {}
         if cell.method == DESIGN:
             from benchmarks.methods.geometric_design import measured_runs, table_rows
@@ -62,7 +64,6 @@ class Insertion(Experiment[Preset]):
             runs = measured_runs(self.preset.design.runs, lambda _: None)
             folder.write_rows("design", table_rows(runs))
         elif cell.learns:
-            from benchmarks.evaluation.evaluate import evaluate_cell
             from benchmarks.runs import policy_file
             from benchmarks.runs.training import train
 
@@ -79,8 +80,6 @@ class Insertion(Experiment[Preset]):
             training["policy_sha256"] = folder.policy_digest()
             training["test_seconds"] = time.perf_counter() - began
         else:
-            from benchmarks.evaluation.evaluate import evaluate_cell
-
             rows = evaluate_cell(self.preset, cell, ProgressReporter(folder, stop_requested))
             folder.write_rows("episodes", rows)
         seeds = {

@@ -20,6 +20,7 @@ import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from benchmarks.methods import contact_scripts
 from benchmarks.protocol.labels import of_suite
 from benchmarks.protocol.presets import CONTACT
 from benchmarks.reporting.figures import style
@@ -70,15 +71,13 @@ def choose(env: Any, name: str, grid: Mapping[str, Any], episodes: int) -> dict[
 
 def measure(level: str, episodes: int, tick: Tick) -> Row:
     """All scripts of a level: their gains and their test episodes."""
-    from benchmarks.methods.contact_scripts import GRIDS
-
     env, result = make(level), {}
-    for name, grid in GRIDS.items():
+    for name, grid in contact_scripts.GRIDS.items():
         gains = choose(env, name, grid, episodes)
         script = script_of(name, env, gains)
         errors = [play(env, script, "test", episodes, error) for error in trials.CONDITIONS]
         result[name] = {"gains": gains, "errors": errors}
-        tick(len(result) / len(GRIDS))
+        tick(len(result) / len(contact_scripts.GRIDS))
     return result
 
 
@@ -156,9 +155,7 @@ class Contact(Measured):
     options = {"--episodes": count(trials.EPISODES, "episodes of each cell", 2)}  # noqa: RUF012
 
     def asked(self) -> dict[str, Any]:
-        from benchmarks.methods.contact_scripts import Gains
-
-        return super().asked() | {"defaults": asdict(Gains())}
+        return super().asked() | {"defaults": asdict(contact_scripts.Gains())}
 
     def measures(self) -> dict[str, Part]:
         n, kept = self.given.episodes, self.result["parts"]

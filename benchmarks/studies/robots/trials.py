@@ -12,6 +12,7 @@ from stable_baselines3 import SAC
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.model_files import set_weights
+from benchmarks.methods.contact_scripts import SCRIPTS, Gains
 from benchmarks.protocol.presets import read_yaml
 from benchmarks.protocol.seeding import derive
 from benchmarks.studies.base import episode, read_stored
@@ -75,8 +76,6 @@ def policy_of(model: Any) -> Callable[[Any], Any]:
 
 def script_of(name: str, env: Any, gains: Mapping[str, float]) -> Any:
     """A script by its name in an environment, with some gains that are not the standard's."""
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains  # need MuJoCo
-
     return SCRIPTS[name](env, Gains(**gains))
 
 
