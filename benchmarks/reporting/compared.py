@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import lru_cache
-from typing import Final
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
@@ -11,12 +11,16 @@ from benchmarks.protocol.learners import LEARNERS
 from benchmarks.reporting.results import Group, Results, complete
 from benchmarks.reporting.stats import Value, holm, measured, paired_p
 
-CONTROL: Final = "Best script"
-MASKED: Final = "Other learners"
-ABLATION: Final = "Components"
-GREEDILY: Final = "Components, greedily"
-GEOMETRY: Final = "Geometry"
-SCRIPT: Final = "Uncertain machine"
+
+class Question(StrEnum):
+    """What comparisons ask; p is corrected over those of the same one."""
+
+    CONTROL = "Best script"
+    MASKED = "Other learners"
+    ABLATION = "Components"
+    GREEDILY = "Components, greedily"
+    GEOMETRY = "Geometry"
+    SCRIPT = "Uncertain machine"
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,8 @@ def differences(question: str, ours: Group, theirs: Group) -> list[float]:
     result = []
     for run, other, both in ours.beside(theirs):
         unequal = both[both["start"].astype(str) != both["start_other"].astype(str)]
-        if len(unequal) and question != GEOMETRY:  # whose starts are those of either geometry
+        # either geometry has starts of its own
+        if len(unequal) and question != Question.GEOMETRY:
             raise BenchmarkError(
                 f"episode {unequal['episode'].iloc[0]} of seed {run.seed} began in one state in "
                 f"{run.folder.path}, in another in {other.folder.path}: delete the older run and "
@@ -84,22 +89,22 @@ def differences(question: str, ours: Group, theirs: Group) -> list[float]:
 def _pairs(results: Results) -> Iterator[tuple[str, Group, Group | None]]:
     for row in complete(results.rows(LEARNERS)):
         for each in row.both():
-            yield CONTROL, each, results.control_of(each)
+            yield Question.CONTROL, each, results.control_of(each)
     track = results.scored
     full = results.group("rainbow", track)
     others = [results.group("rainbow", track, ablation="none")]
     others += [results.group(method, track) for method in LEARNERS if method != "rainbow"]
     for other in others:
         for ours, theirs in zip(full.both(), other.both(), strict=False):
-            yield MASKED, ours, theirs
+            yield Question.MASKED, ours, theirs
     for ablation in labels.ABLATIONS:
         if ablation not in labels.ALL_OR_NONE:
             without = results.group("rainbow", track, ablation=ablation)
-            yield ABLATION, without.as_trained(), full.as_trained()
+            yield Question.ABLATION, without.as_trained(), full.as_trained()
             if without.as_trained() != without:
-                yield GREEDILY, without, full
+                yield Question.GREEDILY, without, full
     initial = results.group("rainbow", track, "initial")
-    yield GEOMETRY, initial.as_trained(), full.as_trained()
+    yield Question.GEOMETRY, initial.as_trained(), full.as_trained()
     script = results.best_script()
     for row in complete(results.rows(LEARNERS, uncertain=True)):
-        yield SCRIPT, row, script
+        yield Question.SCRIPT, row, script

@@ -156,13 +156,11 @@ def paired_p(differences: ArrayLike) -> float:
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Holm's step-down correction, in the given order; NaN stays NaN and does not count."""
-    finite = [i for i, p in enumerate(p_values) if not math.isnan(p)]
-    adjusted = [math.nan] * len(p_values)
-    running = 0.0
-    for rank, index in enumerate(sorted(finite, key=lambda i: p_values[i])):
-        running = max(running, min(1.0, (len(finite) - rank) * p_values[index]))
-        adjusted[index] = running
-    return adjusted
+    p = np.asarray(p_values, dtype=np.float64)
+    order, adjusted = p.argsort(), np.empty_like(p)  # NaN comes last
+    left = np.count_nonzero(~np.isnan(p)) - np.arange(len(p))
+    adjusted[order] = np.maximum.accumulate(np.minimum(1.0, left * p[order]))
+    return [*map(float, adjusted)]
 
 
 def moving_average(values: ArrayLike, window: int, counts: ArrayLike) -> Array:

@@ -11,17 +11,7 @@ from typing import Final, NamedTuple
 from benchmarks.protocol import labels
 from benchmarks.protocol.paper_values import ABLATION as PRINTED_ABLATION
 from benchmarks.protocol.paper_values import GEOMETRY_ABLATION, PERFORMANCE, TRAINING_STEPS
-from benchmarks.reporting.compared import (
-    ABLATION,
-    CONTROL,
-    GEOMETRY,
-    GREEDILY,
-    MASKED,
-    Comparison,
-    comparisons,
-    differences,
-    find,
-)
+from benchmarks.reporting.compared import Comparison, Question, comparisons, differences, find
 from benchmarks.reporting.results import SEEDS, Group, Results, tail_mean
 from benchmarks.reporting.stats import Value, measured, over_seeds
 from benchmarks.reporting.tables.paper import best_under_noise
@@ -109,8 +99,8 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     ours = greedy.as_trained()
     if not ours.n:
         return NOTHING
-    script = find(compared, CONTROL, ours)
-    rivals = [c for c in compared if (c.question, c.ours) == (MASKED, ours)]
+    script = find(compared, Question.CONTROL, ours)
+    rivals = [c for c in compared if (c.question, c.ours) == (Question.MASKED, ours)]
     others = [(c.theirs.title, c.theirs) for c in rivals]
     paper = PERFORMANCE["success"]["rainbow"]
     said = f"Rainbow succeeds in {_rate(ours)} of the test episodes (paper {paper} %)"
@@ -159,7 +149,7 @@ def _but_greedily(rival: Comparison, compared: list[Comparison]) -> str:
     """How far apart two are greedily that are not as trained; empty where they are not either."""
     for c in compared:
         same = (c.theirs.method, c.theirs.ablation) == (rival.theirs.method, rival.theirs.ablation)
-        if c.question == MASKED and same and outcome(c) != outcome(rival):
+        if c.question == Question.MASKED and same and outcome(c) != outcome(rival):
             return f" as trained; greedily, Rainbow is {_above(c.difference)} it"
     return ""
 
@@ -172,7 +162,7 @@ def under_noise(results: Results, greedy: Group) -> str:
     if chosen is None:
         return ""
     ours = greedy.at(chosen.level)
-    lead = measured(differences(CONTROL, ours, chosen)).signed(" points")
+    lead = measured(differences(Question.CONTROL, ours, chosen)).signed(" points")
     return (
         f" With noise of {chosen.level.noise:g} on what it observes, the best script "
         f"({chosen.title}) reaches {_rate(chosen)}, Rainbow {_rate(ours)} ({lead})."
@@ -205,7 +195,7 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
             for c in compared
             if c.question == question and c.ours.ablation in PRINTED_ABLATION and not ground(c.ours)
         ]
-        for question in (ABLATION, GREEDILY)
+        for question in (Question.ABLATION, Question.GREEDILY)
     )
     if not together and len(singles) < wanted:
         return NOTHING
@@ -300,7 +290,7 @@ def geometry(results: Results, compared: list[Comparison]) -> Verdict:
             f"{name} {_verb(low, high)} from {_show(low, digits)} to {_show(high, digits)}{unit} "
             f"(paper {' to '.join(GEOMETRY_ABLATION[key])})"
         )
-    each = find(compared, GEOMETRY, before)
+    each = find(compared, Question.GEOMETRY, before)
     if why := ground(before) or ground(after):
         holds, verdict, so_far = "", "No verdict yet on optimizing the 3-RRS", f" ({why})"
     else:

@@ -14,7 +14,7 @@ from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAPER_METRICS, Metric
 from benchmarks.protocol.plan import CONTROLS
-from benchmarks.reporting.compared import ABLATION, comparisons, find
+from benchmarks.reporting.compared import Question, comparisons, find
 from benchmarks.reporting.results import MAIN, Group, Level, Results, best, complete
 from benchmarks.reporting.stats import Value, t_interval
 from benchmarks.reporting.tables.table import FLAG_NOTE, MISSING, Number, Table, TableCell, p_text
@@ -110,7 +110,7 @@ def ablation(results: Results) -> Table:
             continue
         shown[title] = row
         trained = row.as_trained()
-        each = find(compared, ABLATION, trained) if row.n else None
+        each = find(compared, Question.ABLATION, trained) if row.n else None
         both = trained != row
         made.append([
             title, paper or "-",
@@ -157,7 +157,7 @@ def geometry(results: Results) -> Table:
              lambda row, paper: row.cell(row.success(), 1, paper)),
         line("Singularity terminations / 1000 training episodes", "singular_per_1000",
              lambda row, paper: row.cell(row.singular_per_1000(), 1, paper)),
-        line("Success rate, greedily (%)", "", lambda row, _: row.tested(MAIN)),
+        line(GREEDILY, "", lambda row, _: row.tested(MAIN)),
         rate("Best script under the same masks (%)", scripts),
         rate("Exact optimum (%)", [results.group("optimum", geometry=end) for end in ENDS]),
     ]  # fmt: skip

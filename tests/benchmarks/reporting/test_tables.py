@@ -20,8 +20,7 @@ from benchmarks.protocol import labels
 from benchmarks.protocol.paper_values import ABLATION
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import load_preset
-from benchmarks.reporting.compared import ABLATION as ABLATION_QUESTION
-from benchmarks.reporting.compared import comparisons
+from benchmarks.reporting.compared import Question, comparisons
 from benchmarks.reporting.figures.learning import pictures
 from benchmarks.reporting.results import Level, Result, Results
 from benchmarks.reporting.stats import Value
@@ -154,7 +153,7 @@ def test_each_comparison_has_the_p_of_its_own_differences(full: Store, tmp_path:
             rows = run.rows("episodes")
             rows.loc[rows.index[rows["acting"] == "exploring"][:lost], "success"] = 0
             rows.to_csv(run.path / "episodes.csv", index=False)
-    compared = [c for c in comparisons(Results(full)) if c.question == ABLATION_QUESTION]
+    compared = [c for c in comparisons(Results(full)) if c.question == Question.ABLATION]
     dueling, double_q = (next(c for c in compared if c.ours.ablation == name) for name in spread)
     for one, losses in zip((dueling, double_q), spread.values(), strict=True):
         differences = [-10.0 * (lost + 1) for lost in losses]  # one more is lost without it

@@ -15,14 +15,9 @@ pytest.importorskip("optuna", reason="the extra 'tune' is not installed")
 from benchmarks.cli import main
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies import codesign
+from benchmarks.studies import codesign_report as report
 from benchmarks.studies.codesign import Codesign
-from benchmarks.studies.codesign_report import (
-    SearchResult,
-    on_front,
-    quickest,
-    rank_correlation,
-    surest,
-)
+from benchmarks.studies.codesign_report import SearchResult
 from coop_env.design import workspace_area
 from coop_env.geometry import GEOMETRIES, OPTIMIZED
 
@@ -67,15 +62,15 @@ def test_a_front_holds_what_no_other_beats() -> None:
         "success": rng.integers(70, 100, 40).astype(float), "ticks": rng.integers(15, 25, 40) / 1.0,
     }, index=[f"lambdas-{i}" for i in range(40)])  # fmt: skip
     rows.loc["lambdas-40"] = [60.0, 1.0]
-    held = rows[on_front(rows, 75.0)]
+    held = rows[report.on_front(rows, 75.0)]
     for name, row in rows.iterrows():
         beaten = any(
             s >= row["success"] and t <= row["ticks"] and (s, t) != (row["success"], row["ticks"])
             for s, t in zip(rows["success"], rows["ticks"], strict=True)
         )
         assert (name in held.index) == (row["success"] >= 75.0 and not beaten)
-    assert surest(rows) in held.index
-    fast = quickest(rows, 90.0)
+    assert report.surest(rows) in held.index
+    fast = report.quickest(rows, 90.0)
     assert fast in held.index
     assert rows.loc[fast, "ticks"] == rows.loc[rows["success"] >= 90.0, "ticks"].min()
 
@@ -84,12 +79,12 @@ def test_a_rank_correlation_has_an_interval_about_it() -> None:
     rng = np.random.default_rng(1)
     x = rng.normal(size=80).round(1)  # with ties
     y = (x + rng.normal(size=80)).round(1)
-    result = rank_correlation(x, y)
+    result = report.rank_correlation(x, y)
     assert result.mean == pytest.approx(spearmanr(x, y).statistic)
     assert result.low < result.mean < result.high
     assert result.high - result.low == pytest.approx(4 * 0.75 / math.sqrt(80), rel=0.5)
-    assert rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
-    assert rank_correlation(x, np.ones(80)).n == 0
+    assert report.rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
+    assert report.rank_correlation(x, np.ones(80)).n == 0
 
 
 @pytest.mark.slow
