@@ -4,13 +4,15 @@ Each is a ``ValueError`` whose message names the value and the mend.
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields
 from numbers import Real
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
+from gymnasium.error import DependencyNotInstalled
 
 T = TypeVar("T")
 LARGEST = 2**31 - 1
@@ -35,6 +37,15 @@ class ResetOptionError(ValueError):
 
 class StateError(ValueError):
     """A snapshot that does not fit the environment it is loaded into."""
+
+
+@contextmanager
+def imports(why: str, extra: str, kind: type[Exception] = DependencyNotInstalled) -> Iterator[None]:
+    """Around imports: one that fails is an error that says why, and names the extra to install."""
+    try:
+        yield
+    except ImportError as error:
+        raise kind(f"{why} pip install 'sb3-rainbow-coop[{extra}]': {error}") from error
 
 
 def check_number(

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
 from numpy.typing import ArrayLike, NDArray
 
 from coop_env.compilation import njit
-from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_number
+from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_number, imports
 from coop_env.geometry import DeltaGeometry, RRSGeometry, resolve_delta, resolve_rrs
 from coop_env.kinematics import delta_kernels, rrs_forward_kernels
 from coop_env.simulation import rewards, state
@@ -110,10 +109,8 @@ class Trajectory:
 
     def to_yaml(self, path: Path | str) -> None:
         """Write :meth:`to_joint_trajectory` as YAML; needs PyYAML (extra ``trajectory``)."""
-        try:
+        with imports("trajectories need", "trajectory"):
             import yaml
-        except ImportError as error:
-            raise _missing(error) from error
         dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times faster, where there is C
         style: dict[str, Any] = {"sort_keys": False, "default_flow_style": None}
         text = yaml.dump(self.to_joint_trajectory(), Dumper=dumper, **style)
@@ -124,10 +121,8 @@ class Trajectory:
 
         It needs matplotlib (extra ``trajectory``).
         """
-        try:
+        with imports("trajectories need", "trajectory"):
             from matplotlib.figure import Figure
-        except ImportError as error:
-            raise _missing(error) from error
         figure = Figure(figsize=(8.0, 6.0), layout="constrained")
         rows = (
             ("angle, rad", self.positions),
@@ -264,10 +259,8 @@ def _fastest(
 
     ``start`` and ``end`` are velocities (n,); the rest as in :func:`_profiles`.
     """
-    try:
+    with imports("trajectories need", "trajectory"):
         import ruckig
-    except ImportError as error:
-        raise _missing(error) from error
     solver, profile = ruckig.Ruckig(len(way), TIMESTEP), ruckig.Trajectory(len(way))
     wanted = ruckig.InputParameter(len(way))
     wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = limits.tolist()
@@ -315,9 +308,3 @@ def _follow(
             result[i, k], result[i, 3 + k] = e[k], pose[k]
         status[i] = state.configuration_status((e[0], e[1], e[2], roll, pitch, heave), p)
     return result, status
-
-
-def _missing(error: ImportError) -> DependencyNotInstalled:
-    return DependencyNotInstalled(
-        f"trajectories need pip install 'sb3-rainbow-coop[trajectory]': {error}"
-    )

@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium.error import ClosedEnvironmentError, DependencyNotInstalled
+from gymnasium.error import ClosedEnvironmentError
 from numpy.typing import ArrayLike, NDArray
 
-from coop_env.errors import ArgumentError, check_integer
+from coop_env.errors import ArgumentError, check_integer, imports
 from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
@@ -23,13 +23,9 @@ from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.sim_to_real import MASSES, Disturbance
 from coop_env.simulation.task import N_AXES, pack
 
-try:
+with imports("the physics twin needs", "physics"):
     import mujoco
     import mujoco.rollout
-except ImportError as error:
-    raise DependencyNotInstalled(
-        f"the physics twin needs pip install 'sb3-rainbow-coop[physics]': {error}"
-    ) from error
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SETTLING = 1.0  # s in which servos have to show that they hold home

@@ -6,10 +6,9 @@ from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
-from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, imports
 from coop_env.rendering.scene import Scene
 from coop_env.simulation.insertion_task import PAPER_TASK
 
@@ -56,12 +55,8 @@ class Rendered(gym.Env[Any, Any], ABC):
             return None
         if self.render_mode == "ansi":
             return self.scene().describe()
-        try:  # imported only when something is to be seen
+        with imports("rendering needs", "render"):  # only when something is to be seen
             from coop_env.rendering import render_frame
-        except ImportError as error:
-            raise DependencyNotInstalled(
-                f"rendering needs pip install 'sb3-rainbow-coop[render]': {error}"
-            ) from error
         return render_frame(self.scene(), **self.render_kwargs)
 
     def _follow(self, tip: NDArray[Any], first: bool = False) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ResetOptionError
+from coop_env.errors import ResetOptionError, imports
 from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state, pixels
 from coop_env.rendering.scene import Scene
 from coop_env.simulation.state import INVALID
@@ -33,12 +33,8 @@ class ViewerError(RuntimeError):
 
 def _open_server(host: str, port: int) -> viser.ViserServer:
     """A server that listens on exactly this address."""
-    try:
+    with imports("the browser view needs", "render", ViewerError):
         import viser
-    except ImportError as error:
-        raise ViewerError(
-            f"the browser view needs pip install 'sb3-rainbow-coop[render]': {error}"
-        ) from error
     if not 1 <= port <= 65535:
         raise ViewerError(f"port {port}: must be 1 to 65535")
     with socket.socket() as probe:  # viser would quietly take another port

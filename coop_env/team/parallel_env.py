@@ -6,21 +6,17 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from coop_env.env import check_action
-from coop_env.errors import ActionError, ArgumentError
+from coop_env.errors import ActionError, ArgumentError, imports
 from coop_env.simulation import joint
 from coop_env.simulation.start_states import OPTIONS
 from coop_env.team.agents import AGENTS, Team
 
-try:
+with imports("two agents need", "team"):
     from pettingzoo import ParallelEnv
-except ImportError as error:
-    raise DependencyNotInstalled(
-        f"two agents need pip install 'sb3-rainbow-coop[team]': {error}"
-    ) from error
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
