@@ -179,9 +179,7 @@ def _inertia(link: str, model: Any) -> tuple[float, Floats, Floats]:
     mass, centre = sum(masses), np.average([part.ipos for part in parts], axis=0, weights=masses)
     inertia = np.zeros((3, 3))
     for part in parts:
-        turn, d = np.zeros(9), part.ipos - centre
-        mujoco.mju_quat2Mat(turn, part.iquat)
-        axes = turn.reshape(3, 3)
+        axes, d = Rotation.from_quat(part.iquat, scalar_first=True).as_matrix(), part.ipos - centre
         own = axes @ np.diag(part.inertia) @ axes.T
         inertia += own + part.mass[0] * (d @ d * np.eye(3) - np.outer(d, d))
     share = 0.5 if link.startswith("delta_rod") else 1.0  # a forearm's, of its two rods

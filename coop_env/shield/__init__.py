@@ -1,17 +1,7 @@
 """A run-time shield: no action gets through that takes a robot's margins away."""
 
-from coop_env.shield.shield import (
-    KinematicShield,
-    ShieldedInsertionEnv,
-    ShieldedInsertionVecEnv,
-    ShieldMargin,
-    ShieldWrapper,
-)
-
-__all__ = [
-    "KinematicShield",
-    "ShieldMargin",
-    "ShieldWrapper",
-    "ShieldedInsertionEnv",
-    "ShieldedInsertionVecEnv",
-]
+from coop_env.shield.shield import KinematicShield as KinematicShield
+from coop_env.shield.shield import ShieldedInsertionEnv as ShieldedInsertionEnv
+from coop_env.shield.shield import ShieldedInsertionVecEnv as ShieldedInsertionVecEnv
+from coop_env.shield.shield import ShieldMargin as ShieldMargin
+from coop_env.shield.shield import ShieldWrapper as ShieldWrapper

@@ -49,11 +49,7 @@ def segment_distance(a: Row, b: Row, c: Row, d: Row) -> float:
         t, s = 0.0, _clamp(-uw / uu)
     elif t > 1.0:
         t, s = 1.0, _clamp((uv - uw) / uu)
-    gap = (
-        w[0] + s * u[0] - t * v[0],
-        w[1] + s * u[1] - t * v[1],
-        w[2] + s * u[2] - t * v[2],
-    )
+    gap = (w[0] + s * u[0] - t * v[0], w[1] + s * u[1] - t * v[1], w[2] + s * u[2] - t * v[2])
     return math.sqrt(dot(gap, gap))
 
 
