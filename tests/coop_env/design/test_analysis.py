@@ -10,7 +10,7 @@ import pytest
 
 from coop_env import design
 from coop_env.design import DesignError, DesignProblem, analysis
-from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED
+from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs
 from tests.coop_env.kinematics import reference
 
@@ -75,9 +75,8 @@ def test_the_trajectory_starts_and_ends_at_rest_at_home() -> None:
     assert tilt.max() == pytest.approx(math.radians(22.0), abs=1e-6)
 
 
-@pytest.mark.parametrize("name", sorted(GEOMETRIES))
-def test_the_report_is_what_the_joints_do(name: str) -> None:
-    g = GEOMETRIES[name]
+@pytest.mark.parametrize("g", GEOMETRIES.values(), ids=GEOMETRIES)
+def test_the_report_is_what_the_joints_do(g: RRSGeometry) -> None:
     path = design.cone_trajectory()
     report = design.validate(g, path)
     assert report.valid

@@ -15,8 +15,8 @@ from coop_env.geometry import RRSGeometry
 Floats = NDArray[np.float64]
 
 _AZIMUTHS = np.radians([0.0, 120.0, 240.0])
-_RADIAL = np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS), np.zeros(3)], axis=-1)
-_TANGENTIAL = np.stack([-np.sin(_AZIMUTHS), np.cos(_AZIMUTHS), np.zeros(3)], axis=-1)
+RADIAL = np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS), np.zeros(3)], axis=-1)
+TANGENTIAL = np.stack([-np.sin(_AZIMUTHS), np.cos(_AZIMUTHS), np.zeros(3)], axis=-1)
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -47,10 +47,10 @@ def platform_pose(rph: Floats, geometry: RRSGeometry) -> tuple[Floats, Floats]:
     roll, pitch, heave = np.moveaxis(np.asarray(rph, dtype=float), -1, 0)
     yaw = -np.arctan2(np.sin(roll) * np.sin(pitch), np.cos(roll) + np.cos(pitch))
     rotation = _axis_rotation(roll, 0) @ _axis_rotation(pitch, 1) @ _axis_rotation(yaw, 2)
-    joints = geometry.platform_radius * np.einsum("...ab,ib->...ia", rotation, _RADIAL)
+    joints = geometry.platform_radius * np.einsum("...ab,ib->...ia", rotation, RADIAL)
     # t_i . (P + r_i) = 0 on limbs 0 and 1 gives x and y; limb 2 is left over as a check.
-    out_of_plane = np.einsum("...ia,ia->...i", joints, _TANGENTIAL)
-    xy = np.linalg.solve(_TANGENTIAL[:2, :2], -out_of_plane[..., :2, None])[..., 0]
+    out_of_plane = np.einsum("...ia,ia->...i", joints, TANGENTIAL)
+    xy = np.linalg.solve(TANGENTIAL[:2, :2], -out_of_plane[..., :2, None])[..., 0]
     return np.concatenate([xy, heave[..., None]], axis=-1), rotation
 
 
@@ -58,25 +58,25 @@ def evaluate(rph: Floats, geometry: RRSGeometry) -> ReferenceState:
     """All of it at poses ``(..., 3)`` of (roll, pitch, heave)."""
     g = geometry
     position, rotation = platform_pose(rph, g)
-    r = g.platform_radius * np.einsum("...ab,ib->...ia", rotation, _RADIAL)
+    r = g.platform_radius * np.einsum("...ab,ib->...ia", rotation, RADIAL)
     joints = position[..., None, :] + r
-    from_base = joints - g.base_radius * _RADIAL
+    from_base = joints - g.base_radius * RADIAL
     reach = np.linalg.norm(from_base, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         at_base = np.arccos(
             (g.proximal_length**2 + reach**2 - g.distal_length**2) / (2 * g.proximal_length * reach)
         )
-    q = np.arctan2(from_base[..., 2], np.einsum("...ia,ia->...i", from_base, _RADIAL)) - at_base
+    q = np.arctan2(from_base[..., 2], np.einsum("...ia,ia->...i", from_base, RADIAL)) - at_base
     reachable = np.isfinite(q).all(axis=-1)
 
     safe = np.where(reachable[..., None], q, 0.0)
-    crank = np.cos(safe)[..., None] * _RADIAL + np.sin(safe)[..., None] * _UP
-    swing = -np.sin(safe)[..., None] * _RADIAL + np.cos(safe)[..., None] * _UP
+    crank = np.cos(safe)[..., None] * RADIAL + np.sin(safe)[..., None] * _UP
+    swing = -np.sin(safe)[..., None] * RADIAL + np.cos(safe)[..., None] * _UP
     distal = (from_base - g.proximal_length * crank) / g.distal_length
     b = g.proximal_length * np.sum(distal * swing, axis=-1)
 
     # Wrench rows on the twist (v, w): actuation rows [d, r x d], constraint rows [t, r x t].
-    tangential = np.broadcast_to(_TANGENTIAL, r.shape)
+    tangential = np.broadcast_to(TANGENTIAL, r.shape)
     actuation = np.concatenate([distal, np.cross(r, distal)], axis=-1)
     constraint = np.concatenate([tangential, np.cross(r, tangential)], axis=-1)
     dependent, free = [0, 1, 5], [3, 4, 2]  # (vx, vy, wz) follow from (wx, wy, vz)

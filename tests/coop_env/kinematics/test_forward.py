@@ -6,7 +6,7 @@ import pytest
 from coop_env.geometry import GEOMETRIES, RRSGeometry
 from coop_env.kinematics import rrs
 
-EVERY = sorted(GEOMETRIES)
+EVERY = pytest.mark.parametrize("g", GEOMETRIES.values(), ids=GEOMETRIES)
 
 
 def _valid_poses(geometry: RRSGeometry, count: int, seed: int) -> np.ndarray:
@@ -16,10 +16,9 @@ def _valid_poses(geometry: RRSGeometry, count: int, seed: int) -> np.ndarray:
     return poses[rrs.is_valid(poses, geometry)][:count]
 
 
-@pytest.mark.parametrize("name", EVERY)
+@EVERY
 @pytest.mark.parametrize("pose_model", ["exact", "paper"])
-def test_undoes_the_inverse_from_the_pose_itself(name: str, pose_model: str) -> None:
-    g = GEOMETRIES[name]
+def test_undoes_the_inverse_from_the_pose_itself(g: RRSGeometry, pose_model: str) -> None:
     poses = _valid_poses(g, 2000, seed=1)
     q, reachable = rrs.inverse(poses, g, pose_model)
     result = rrs.forward(q, poses, g, pose_model)
@@ -28,15 +27,13 @@ def test_undoes_the_inverse_from_the_pose_itself(name: str, pose_model: str) -> 
     assert (result.residual[reachable] < 1e-12).all()
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_one_move_away_on_the_same_side_of_the_singularity(name: str) -> None:
-    g = GEOMETRIES[name]
+@EVERY
+def test_one_move_away_on_the_same_side_of_the_singularity(g: RRSGeometry) -> None:
     poses = _valid_poses(g, 4000, seed=2)
     rng = np.random.default_rng(3)
     step = rng.uniform([-0.03, -0.03, -0.02], [0.03, 0.03, 0.02], poses.shape)
     before = np.clip(poses + step, [-0.78, -0.78, 0.21], [0.78, 0.78, 0.25])
-    side = rrs.signed_sigma_min(poses, g)
-    other = rrs.signed_sigma_min(before, g)
+    side, other = rrs.signed_sigma_min(poses, g), rrs.signed_sigma_min(before, g)
     # Nearer to the singularity, the straight line in q may itself run across it.
     clear = rrs.is_valid(before, g) & (side * other > 0)
     clear &= np.minimum(np.abs(side), np.abs(other)) > 0.1
@@ -46,10 +43,9 @@ def test_one_move_away_on_the_same_side_of_the_singularity(name: str) -> None:
     np.testing.assert_allclose(result.pose[clear], poses[clear], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_from_afar_it_is_the_pose_or_the_branch_has_ended_in_a_singularity(name: str) -> None:
+@EVERY
+def test_from_afar_it_is_the_pose_or_the_branch_has_ended_in_a_singularity(g: RRSGeometry) -> None:
     """All pairs on home's side: the straight line in q either leads there, or ends on the way."""
-    g = GEOMETRIES[name]
     poses = _valid_poses(g, 6000, seed=7)
     poses = poses[rrs.signed_sigma_min(poses, g) > 0]
     before = np.random.default_rng(8).permutation(poses)
@@ -67,14 +63,14 @@ def test_from_afar_it_is_the_pose_or_the_branch_has_ended_in_a_singularity(name:
         alive &= result.converged
         pose = np.where(alive[:, None], result.pose, pose)
     assert not alive.any()  # in small steps it ends as well
-    assert np.abs(rrs.signed_sigma_min(pose, g)).max() < 0.1
-    assert np.median(np.abs(rrs.signed_sigma_min(pose, g))) < 0.02
+    sigma = np.abs(rrs.signed_sigma_min(pose, g))
+    assert sigma.max() < 0.1
+    assert np.median(sigma) < 0.02
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_two_assembly_modes_of_one_q_are_told_apart_by_the_previous_pose(name: str) -> None:
+@EVERY
+def test_two_assembly_modes_of_one_q_are_told_apart_by_the_previous_pose(g: RRSGeometry) -> None:
     """A pose beyond the singularity shares its q with another on home's side."""
-    g = GEOMETRIES[name]
     poses = _valid_poses(g, 6000, seed=6)
     beyond = poses[rrs.signed_sigma_min(poses, g) < -0.05]
     assert len(beyond) > 100

@@ -32,10 +32,6 @@ def _golden() -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def _position(pose: kernels.Pose) -> np.ndarray:
-    return np.array(pose[:3])
-
-
 def _rotation(pose: kernels.Pose) -> np.ndarray:
     return np.array(pose[3:]).reshape(3, 3)
 
@@ -65,12 +61,10 @@ def test_limbs_close_and_stay_in_their_planes(at: At) -> None:
     g, p = GEOMETRIES[name], PARAMS[name]
     pose = kernels.platform_pose(roll, pitch, heave, p)
     reachable, q = kernels.inverse(pose, p)
-    rotation, centre = _rotation(pose), _position(pose)
+    rotation, centre = _rotation(pose), np.array(pose[:3])
     assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-14
     assert np.linalg.det(rotation) == pytest.approx(1.0)
-    for i, azimuth in enumerate(np.radians([0.0, 120.0, 240.0])):
-        u = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        t = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    for i, (u, t) in enumerate(zip(reference.RADIAL, reference.TANGENTIAL, strict=True)):
         joint = centre + g.platform_radius * rotation @ u
         assert abs(t @ joint) < 1e-14
         if reachable:
