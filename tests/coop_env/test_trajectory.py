@@ -57,12 +57,9 @@ def test_no_sample_exceeds_a_limit_and_every_configuration_is_met(
 ) -> None:
     way = walk(seed, moves)
     result = make_trajectory(way, delta=SLOW, blend=blend)
-    limits = np.array(
-        [
-            [getattr(owner, f"max_joint_{kind}") for owner in (SLOW, OPTIMIZED) for _ in range(3)]
-            for kind in ("velocity", "acceleration", "jerk")
-        ]
-    )
+    kinds = ("velocity", "acceleration", "jerk")
+    each = [[getattr(owner, f"max_joint_{kind}") for owner in (SLOW, OPTIMIZED)] for kind in kinds]
+    limits = np.repeat(each, 3, axis=1)
     jerk = np.diff(result.accelerations, axis=0) / TIMESTEP
     for values, limit in zip((result.velocities, result.accelerations, jerk), limits, strict=True):
         assert (np.abs(values) <= limit * (1.0 + 1e-6)).all()
