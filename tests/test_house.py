@@ -156,6 +156,7 @@ def test_what_setup_cfg_says_is_the_same_wherever_it_stands() -> None:
     assert said["url"] in (ROOT / "examples" / "rainbow.ipynb").read_text(encoding="utf-8")
 
 
-def test_a_package_lists_what_it_exports() -> None:
+def test_a_package_lists_what_it_exports_and_has_it() -> None:
     for package in (coop_env, sb3_rainbow):
         assert set(dir(package)) == set(package.__all__)
+        assert all(hasattr(package, name) for name in package.__all__)

@@ -6,7 +6,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import coop_env
 from coop_env import CoopInsertionVectorEnv
 from coop_env.errors import ArgumentError
 
@@ -44,11 +43,6 @@ def test_make_vec_knows_gymnasiums_name_of_the_limit() -> None:
     assert longer.envs[0].params.task.max_moves == 5
     with pytest.raises(ArgumentError, match="max_episode_steps = 0"):
         CoopInsertionVectorEnv(2, max_episode_steps=0)
-
-
-def test_every_name_of_the_package_is_there() -> None:
-    for name in coop_env.__all__:
-        assert getattr(coop_env, name) is not None
 
 
 KEYS = {"success", "is_success", "all_filled"}
