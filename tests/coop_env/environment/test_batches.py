@@ -166,8 +166,7 @@ def test_the_vector_env_shows_what_gymnasiums_own_shows() -> None:
     arguments: dict[str, Any] = {"max_moves": 9, "reward": "progress", "observation": "markov"}
     ours: Any = CoopInsertionVectorEnv(3, **arguments)
     theirs = SyncVectorEnv(
-        [lambda: CoopInsertionEnv(**arguments)] * 3,
-        autoreset_mode=AutoresetMode.SAME_STEP,
+        [lambda: CoopInsertionEnv(**arguments)] * 3, autoreset_mode=AutoresetMode.SAME_STEP
     )
     assert ours.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
     assert ours.observation_space == theirs.observation_space

@@ -211,8 +211,7 @@ def test_moves_are_increments(env: CoopInsertionContactEnv) -> None:
 
 
 @pytest.mark.parametrize(
-    "action",
-    [np.full(6, np.nan), np.full(6, 1.01), np.zeros(5), "down", None, np.inf * np.ones(6)],
+    "action", [np.full(6, np.nan), np.full(6, 1.01), np.zeros(5), "down", None, np.inf * np.ones(6)]
 )
 def test_actions_that_are_none(env: CoopInsertionContactEnv, action: Any) -> None:
     env.reset(seed=0)

@@ -51,8 +51,7 @@ def test_knobs_at_zero_are_no_knobs() -> None:
 
 
 @pytest.mark.parametrize(
-    "env_class",
-    [CoopInsertionContactEnv, CoopInsertionPhysicsEnv, CoopInsertionPhysicsDiscreteEnv],
+    "env_class", [CoopInsertionContactEnv, CoopInsertionPhysicsEnv, CoopInsertionPhysicsDiscreteEnv]
 )
 def test_a_seed_gives_the_same_machine(env_class: Any) -> None:
     env = env_class(sim_to_real="randomized")

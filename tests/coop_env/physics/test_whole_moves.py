@@ -205,10 +205,8 @@ def test_after_close_there_is_no_step() -> None:
 
 
 def test_a_snap_is_no_collision() -> None:
-    level, servos = (
-        {**NO_ERROR, "force_limit": 1e4},
-        {"rrs_stiffness": 2.0, "delta_stiffness": 400.0},
-    )
+    level: dict[str, Any] = {**NO_ERROR, "force_limit": 1e4}
+    servos = {"rrs_stiffness": 2.0, "delta_stiffness": 400.0}
     env = CoopInsertionPhysicsDiscreteEnv(touch=1e9, level=level, servos=servos)
     env.reset(seed=0, options=beside(0, 0.03))
     terminated = False

@@ -54,8 +54,7 @@ def test_slider_moves_the_robots_and_keeps_the_task(view: Viewer) -> None:
 
 
 @pytest.mark.parametrize(
-    ("axis", "value", "reason"),
-    [(3, 44.9, "joint limits"), (2, -0.46, "collision"), (0, 0.16, "")],
+    ("axis", "value", "reason"), [(3, 44.9, "joint limits"), (2, -0.46, "collision"), (0, 0.16, "")]
 )
 def test_slider_is_refused_where_the_robots_cannot_go(
     view: Viewer, axis: int, value: float, reason: str

@@ -145,11 +145,7 @@ def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
 
 
 @settings(max_examples=60)
-@given(
-    capacity=st.integers(1, 700),
-    n_updates=st.integers(1, 5),
-    seed=st.integers(0, 10_000),
-)
+@given(capacity=st.integers(1, 700), n_updates=st.integers(1, 5), seed=st.integers(0, 10_000))
 def test_sums_and_search_agree_with_cumulative_sums(
     capacity: int, n_updates: int, seed: int
 ) -> None:

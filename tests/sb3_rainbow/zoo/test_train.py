@@ -99,9 +99,7 @@ def test_a_game_of_atari_has_its_entry() -> None:
     assert (model.v_max, model.n_steps) == (10.0, 10)
 
 
-def test_arguments_of_the_environment_reach_the_evaluation(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_arguments_of_the_environment_reach_the_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
     """The zoo keeps those of the hyperparameters to the training."""
     monkeypatch.setattr(environments.Masked, "tags", [])
     entry = {"MaskedZoo-v0": {**SMALL, "env_kwargs": {"tag": "given"}}}
