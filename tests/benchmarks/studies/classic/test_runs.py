@@ -223,7 +223,8 @@ def test_a_task_gives_arguments_to_all_methods_and_skips_some() -> None:
     assert {preset.methods[i] for i in (0, -2, -1)} <= {cell.method for cell in cells}
     assert "rainbow_one_step" not in {cell.method for cell in cells}
     stored = settings(preset, next(cell for cell in cells if cell.method == "rainbow_tau_0.001"))
-    assert stored["arguments"] == {"replay_buffer_class": "HerReplayBuffer", "tau": 1e-3}
+    own = {"learning_rate": 1e-3, "tau": 1e-3}
+    assert stored["arguments"] == {"replay_buffer_class": "HerReplayBuffer", **own}
     with pytest.warns(UserWarning, match="prioritized=False, n_steps=1"):
         model = build_model(preset.tasks["changed_bits"], "rainbow_tau_0.001", 0)
     assert isinstance(model, Rainbow)
