@@ -52,7 +52,8 @@ class Rainbow(ResumableAlgorithm):
     Args:
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.
         learning_rate: learning rate, or a function of the remaining progress (from 1 to 0).
-            ``None`` (default) falls linearly from 1e-3 to 1e-4; with ``CnnPolicy`` it is 1e-4.
+            ``None`` (default) falls linearly in each call of ``learn``, in the first from 1e-3 to
+            1e-4; with ``CnnPolicy`` it is 1e-4. Give a number if you train in many calls.
         buffer_size: transitions in the replay buffer, over all envs.
         learning_starts: steps of random (allowed) actions before learning starts.
         batch_size: transitions per update.
@@ -164,7 +165,7 @@ class Rainbow(ResumableAlgorithm):
         super().__init__(
             policy,
             env,
-            learning_rate,  # type: ignore[arg-type]  # of None _setup_model makes a number
+            learning_rate,  # type: ignore[arg-type]  # of None _setup_model makes a rate
             buffer_size,
             learning_starts,
             batch_size,
