@@ -22,7 +22,13 @@ class Insertion(Experiment[Preset]):
 
     # the paper's tables; the others are written beside them
     printed: Sequence[str] = (
-        *("performance", "controls", "ablation", "geometry", "design", "team", "difficulty"),
+        "performance",
+        "controls",
+        "ablation",
+        "geometry",
+        "design",
+        "team",
+        "difficulty",
     )
 
     def __init__(self, preset: Preset | str) -> None:

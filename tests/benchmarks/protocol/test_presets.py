@@ -10,6 +10,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.labels import knowledge
 from benchmarks.protocol.plan import expand, settings
 from benchmarks.protocol.presets import Preset, load, load_preset, preset_names
+from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.smoke import parsed, smoke, smoke_preset
 
 SIZES = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
@@ -171,6 +172,8 @@ def test_what_is_not_there_is_an_error_that_lists_what_is() -> None:
         load_preset("fast")
     with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
         load_preset("_tracks")
+    with pytest.raises(BenchmarkError, match="rainbow-optimized-safe-s0"):
+        Insertion(load_preset("smoke")).find("rainbow-s9")
     with pytest.raises(BenchmarkError, match="preset 'empty' holds no run"):
         expand(smoke_preset("empty", runs=[]))
 

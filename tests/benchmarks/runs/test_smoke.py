@@ -165,6 +165,7 @@ def test_other_starts_are_starts_of_their_own(
         (["evaluate", "--preset", "smoke", "--name", "x"], "--name belongs to a --model"),
         (["evaluate", "--preset", "smoke", "--model", "no.zip"], "no.zip is missing"),
         (["tables", "--preset", "tiny"], "has no results; run: python -m benchmarks run --preset"),
+        (["train", "--preset", "tiny", "--cell", "x"], "has no cell 'x'"),
         (["study", "media", "--model", "nowhere.zip"], "nowhere.zip is missing"),
         (["study", "media", "--model", __file__], "is no model of Stable-Baselines3"),
         (["watch", "--port", "0"], "port 0"),

@@ -123,6 +123,9 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "smoke" / "thesis.tex").write_text("", encoding="utf-8")
     with pytest.raises(BenchmarkError, match="no results folder"):
         Store.open(tmp_path, "smoke", create=True)
+    with pytest.raises(BenchmarkError, match="has no results"):
+        Store.open(tmp_path, "other")
+    assert not (tmp_path / "other").exists()
 
 
 def test_two_harnesses_cannot_hold_one_folder(tmp_path: Path) -> None:
