@@ -9,12 +9,13 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from itertools import product
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of, learner_of
-from benchmarks.protocol.presets import Preset, RunGroup, SuitePreset, Track
+from benchmarks.protocol.presets import Guide, Preset, RunGroup, SuitePreset, Track
 from coop_env.errors import ArgumentError
 from coop_env.simulation.sim_to_real import SimToReal
 
@@ -152,8 +153,12 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
                 + ": name tracks, tasks and geometries by letters, digits and . _ +"
             )
 
+    @cache
+    def units_but_for_seed(cell: Cell) -> int:
+        return units_of(settings(preset, cell))
+
     def order(cell: Cell) -> tuple[int, int]:
-        units = -units_of(settings(preset, cell))
+        units = -units_but_for_seed(replace(cell, seed=0))
         # an early stop leaves whole rows of a suite, or else some seeds of every kind
         return (cell.seed, units) if isinstance(preset, SuitePreset) else (units, cell.seed)
 
@@ -217,13 +222,14 @@ def settings(preset: Preset | SuitePreset, cell: Cell) -> dict[str, Any]:
 
 def _of_task(preset: SuitePreset, cell: Cell) -> dict[str, Any]:
     task, kind = preset.tasks[cell.track], "learn" if cell.learns else "control"
-    config, keys = asdict(task), ["env", "env_kwargs", "eval_episodes"]
+    keys = ["env", "env_kwargs", "eval_episodes"]
     if cell.learns:
         keys = ["env", "timesteps", "eval_every", "eval_episodes", "env_kwargs", "policy", "n_envs"]
-        keys += [rare for rare in ("guide", "bare") if config[rare]]
+        keys += [rare for rare in ("guide", "bare") if getattr(task, rare)]
+    values = {key: getattr(task, key) for key in keys}  # asdict copies all methods' arguments too
     return {
         "cell": {"kind": kind, "task": cell.track, "method": cell.method, "number": cell.seed},
-        "task": {key: config[key] for key in keys},
+        "task": {k: asdict(v) if isinstance(v, Guide) else v for k, v in values.items()},
         **({"arguments": task.arguments_of(cell.method)} if cell.learns else {}),
         "final_episodes": preset.final_episodes,
     }

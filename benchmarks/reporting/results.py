@@ -84,13 +84,13 @@ class Result:
     @cached_property
     def levels(self) -> dict[Level, pd.DataFrame]:
         """Episodes by level, whose error is a number; a column that is missing has its default."""
-        rows = self.episodes.copy()
+        rows = self.episodes.sort_values("episode")
         for name, own in (("error", self.error), ("acting", GREEDY)):
             rows[name] = rows[name].fillna(own) if name in rows else own
         result = {}
         for (noise, error, acting), part in rows.groupby(["noise", "error", "acting"]):
             level = Level(float(str(noise)), float(str(error)), str(acting))
-            result[level] = part.sort_values("episode").reset_index(drop=True)
+            result[level] = part.reset_index(drop=True)
         return result
 
 

@@ -12,7 +12,10 @@ Every file is written beside its place and renamed into it, so a reader sees the
 new one. A run is complete when its meta.json is there: it is written last.
 """
 
+import copy
+import csv
 import hashlib
+import io
 import json
 import os
 import shutil
@@ -20,8 +23,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Self, cast
 
 import pandas as pd
 import yaml
@@ -72,8 +76,11 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
 
 def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
     """Rows of equal keys; floats with seven digits, truth values as 0 and 1."""
-    frame = pd.DataFrame([*rows], dtype=object).map(_cell_text)
-    return str(frame.to_csv(index=False, lineterminator="\n"))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [*rows[0]] if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({key: _cell_text(value) for key, value in row.items()} for row in rows)
+    return text.getvalue()
 
 
 def _cell_text(value: object) -> object:
@@ -94,6 +101,21 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
         for key in sorted(map(str, flat.keys() | other.keys()))
         if flat.get(key) != other.get(key) and key not in WORDS
     ]
+
+
+@lru_cache(maxsize=10_000)  # problems, tables, figures and pages ask for the same files in turn
+def _parsed(path: Path, parse: Callable[[Path], Any], version: tuple[int, ...]) -> Any:
+    return parse(path)
+
+
+def _mapping(parse: Callable[[str], Any], path: Path) -> dict[str, Any]:
+    if not isinstance(data := parse(path.read_text(encoding="utf-8")), dict):
+        raise ValueError("no mapping")
+    return data
+
+
+_from_json = partial(_mapping, json.loads)
+_from_yaml = partial(_mapping, partial(yaml.load, Loader=SAFE_LOADER))
 
 
 class RunFolder:
@@ -140,11 +162,11 @@ class RunFolder:
 
     def config(self) -> dict[str, Any]:
         """The run's settings."""
-        return self._read("config.yaml", lambda text: yaml.load(text, SAFE_LOADER))
+        return self._read("config.yaml", _from_yaml)
 
     def meta(self) -> dict[str, Any]:
         """What the run says of itself: commit, versions, machine, seeds, time, steps."""
-        meta = self._read("meta.json", json.loads)
+        meta = self._read("meta.json", _from_json)
         if meta.get("schema") != SCHEMA:
             raise BenchmarkError(
                 f"{self.path / 'meta.json'} has results schema {meta.get('schema')}, this version "
@@ -158,17 +180,12 @@ class RunFolder:
         # runs of the classic tasks once kept it with the training alone
         return float(meta.get(name) or meta["training"][name])
 
-    def _read(self, name: str, parse: Callable[[str], Any]) -> dict[str, Any]:
+    def _read(self, name: str, parse: Callable[[Path], Any]) -> Any:
         path = self.path / name
-        with self._readable(path):
-            if not isinstance(data := parse(path.read_text(encoding="utf-8")), dict):
-                raise ValueError("no mapping")
-        return data
-
-    @contextmanager
-    def _readable(self, path: Path) -> Iterator[None]:
         try:
-            yield
+            now = path.stat()
+            kept = _parsed(path, parse, (now.st_ino, now.st_size, now.st_mtime_ns))
+            return copy.deepcopy(kept)  # whoever asked may change it
         except (OSError, ValueError, yaml.YAMLError) as error:
             raise BenchmarkError(
                 f"{path} cannot be read ({error}); delete {self.path} and run the preset again"
@@ -185,9 +202,7 @@ class RunFolder:
 
     def rows(self, name: str) -> pd.DataFrame:
         """Read ``<name>.csv``."""
-        path = self.path / f"{name}.csv"
-        with self._readable(path):
-            return pd.read_csv(path)
+        return cast("pd.DataFrame", self._read(f"{name}.csv", pd.read_csv))
 
     def has_rows(self, name: str) -> bool:
         return (self.path / f"{name}.csv").is_file()
