@@ -379,7 +379,7 @@ class Rainbow(ResumableAlgorithm):
                     losses.append(float(loss))
                 else:
                     losses.append(loss)
-        logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
+        logs_due = -self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/loss", float(sum(losses) / len(losses)))

@@ -13,7 +13,7 @@ from stable_baselines3.common.save_util import open_path
 from sb3_rainbow.network.rainbow_network import head_of
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.replay.parameters import check_counts, check_shares
+from sb3_rainbow.replay.parameters import check_counts, check_numbers, check_shares
 from sb3_rainbow.type_aliases import Distributional, SaveFile, UseMasking
 
 # Constructor arguments that Rainbow hands to its policy
@@ -21,6 +21,7 @@ NETWORK_ARGUMENTS = frozenset(
     ("dueling", "noisy", "sigma0", "distributional", "n_atoms", "v_min", "v_max")
 )
 
+_SWITCHES = ("double_q", "dueling", "noisy", "cpu_kernels")
 # Arguments from 0 to 1
 _SHARES = (
     *("tau", "gamma", "alpha", "beta_start", "beta_end"),
@@ -157,11 +158,19 @@ def check_settings(model: Any) -> None:
     """Raise ``ValueError`` for the first setting of a Rainbow that cannot work."""
     check_counts(batch_size=model.batch_size)
     check_shares(**{name: getattr(model, name) for name in _SHARES})
+    optional = {name: getattr(model, name) for name in ("max_grad_norm", "target_update_interval")}
+    check_numbers(**{name: value for name, value in optional.items() if value is not None})
+    check_numbers(**{n: getattr(model, n) for n in ("sigma0", "n_atoms", "v_min", "v_max")})
+    for name in _SWITCHES:
+        if (value := getattr(model, name)) not in (True, False):
+            raise ValueError(f"{name} must be True or False, got {value!r}")
     if model.max_grad_norm is not None and not model.max_grad_norm > 0.0:
         raise ValueError(f"max_grad_norm must be positive, or None, got {model.max_grad_norm}")
     interval = model.target_update_interval
-    if interval is not None and interval < 1:
-        raise ValueError(f"target_update_interval must be at least 1, or None, got {interval}")
+    if interval is not None and (interval < 1 or interval != int(interval)):
+        raise ValueError(
+            f"target_update_interval must be at least 1 and whole, or None, got {interval}"
+        )
     if interval is not None and model.n_envs > interval:
         warnings.warn(
             "The number of environments used is greater than the target network update interval "

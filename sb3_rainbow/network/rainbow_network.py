@@ -302,7 +302,7 @@ class RainbowNetwork(AsVector, BasePolicy):
 
 def head_of(distributional: Distributional) -> Literal["scalar", "categorical", "quantile"]:
     """What a head predicts."""
-    if isinstance(distributional, bool):
+    if isinstance(distributional, bool | np.bool_):
         return "categorical" if distributional else "scalar"
     if distributional in ("categorical", "quantile"):
         return distributional

@@ -296,7 +296,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         if count < 0:
             raise ValueError(
                 f"A priority must come from a finite loss >= 0, got {largest}: training has "
-                "diverged; lower the learning rate or max_grad_norm"
+                "diverged; lower the learning rate or max_grad_norm. Or an observation is not "
+                "finite: look with stable_baselines3.common.vec_env.VecCheckNan"
             )
         self.tree.set(leaves[:count], masses[:count])
         self.max_priority = max(self.max_priority, largest)

@@ -12,6 +12,13 @@ def check_counts(**values: Any) -> None:
             raise ValueError(f"{name} must be an integer, at least 1, got {value!r}")
 
 
+def check_numbers(**values: Any) -> None:
+    """Raise ``ValueError`` for the first value that is no number, by its name."""
+    for name, value in values.items():
+        if not isinstance(value, Real):
+            raise ValueError(f"{name} must be a number, got {value!r}")
+
+
 def check_shares(**values: Any) -> None:
     """Raise ``ValueError`` for the first value that is no number in [0, 1], by its name."""
     for name, value in values.items():

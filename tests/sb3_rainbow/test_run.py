@@ -229,6 +229,14 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"buffer_size": 3}, "buffer_size=3 is too small"),
         ({"buffer_size": 1e6}, "buffer_size must be an integer, at least 1, got 1000000.0"),
         ({"policy_kwargs": {"n_atoms": 11}}, "Pass n_atoms to Rainbow itself"),
+        ({"dueling": None}, "dueling must be True or False, got None"),
+        ({"noisy": "yes"}, "noisy must be True or False, got 'yes'"),
+        ({"sigma0": "a"}, "sigma0 must be a number, got 'a'"),
+        ({"max_grad_norm": "a"}, "max_grad_norm must be a number, got 'a'"),
+        ({"n_atoms": "51"}, "n_atoms must be a number, got '51'"),
+        ({"v_min": "a", "v_max": "b"}, "v_min must be a number, got 'a'"),
+        ({"target_update_interval": "x"}, "target_update_interval must be a number, got 'x'"),
+        ({"target_update_interval": 10.5}, "target_update_interval must be at least 1 and whole"),
     ],
 )
 def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
@@ -246,6 +254,39 @@ def test_freezing_and_freeing_after_the_model_was_made(cpu_kernels: bool) -> Non
         model.learn(20, reset_num_timesteps=False)
         assert th.equal(first, before[0]) == frozen
         assert not th.equal(last, before[1])
+
+
+@pytest.mark.parametrize("gradient_steps", [1, 7, -1])
+def test_each_hundred_updates_are_looked_at(gradient_steps: int) -> None:
+    """However many updates a round has: whole episodes of CartPole, here."""
+
+    class Looking(Rainbow):
+        def train(self, gradient_steps: int, batch_size: int = 100) -> None:
+            before = self._n_updates
+            super().train(gradient_steps, batch_size)
+            if "train/max_q" in self.logger.name_to_value:
+                looked.add(-(-before // 100))
+                del self.logger.name_to_value["train/max_q"]
+
+    looked: set[int] = set()
+    freq: Any = (1, "episode") if gradient_steps < 0 else 4
+    model = Looking(
+        "MlpPolicy", "CartPole-v1", train_freq=freq, gradient_steps=gradient_steps, **small.FAST
+    ).learn(1_000)
+    assert looked == {*range(-(-model._n_updates // 100))}
+
+
+def test_an_observation_that_is_not_finite_is_named_as_a_cause() -> None:
+    env = Toy(
+        spaces.Box(-1, 1, (3,)), lambda step: np.full(3, np.nan if step == 9 else 0.5), length=10
+    )
+    with pytest.raises(ValueError, match="Or an observation is not finite"):
+        make(env).learn(200)
+
+
+def test_a_head_may_be_chosen_by_numpys_booleans() -> None:
+    assert make(distributional=np.True_).q_net.head == "categorical"
+    assert make(distributional=np.False_).q_net.head == "scalar"
 
 
 def test_bad_environments() -> None:

@@ -37,6 +37,21 @@ def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
     assert np.random.randint(1 << 30) == expected  # noqa: NPY002
 
 
+@pytest.mark.parametrize("given", [{"seed": 7}, {"custom_objects": {"seed": 7}}])
+def test_a_seed_given_to_load_wins_over_the_saved_generators(given: dict[str, Any]) -> None:
+    file = io.BytesIO()
+    make().learn(40).save(file)
+
+    def goes_on(**given: Any) -> list[Any]:
+        file.seek(0)
+        model = Rainbow.load(file, make_vec_env("CartPole-v1", seed=0), **given)
+        model.learn(60, reset_num_timesteps=False)
+        assert model.replay_buffer is not None
+        return list(model.replay_buffer.actions[:60].ravel())
+
+    assert goes_on() == goes_on() != goes_on(**given)
+
+
 @pytest.mark.parametrize(
     ("other", "message"),
     [
