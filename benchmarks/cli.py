@@ -156,7 +156,10 @@ def _of_stored(method: str) -> Callable[[Given], None]:
 def report(given: Given) -> None:
     """Tables and figures of presets and studies, then the blocks of all pages beside the folder."""
     names = [given.preset] if given.preset else list(catalogue.stores(given.results))
-    if not names:
+    others = [] if given.preset else catalogue.others(given.results)
+    for folder in others:
+        print(f"{folder}: left out; --preset FILE says what is in it")
+    if not (names or others):
         raise BenchmarkError(f"{given.results} has no results; run: python -m benchmarks run")
     for name in names:
         _of_stored("report")(argparse.Namespace(preset=name, results=given.results))

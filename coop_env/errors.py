@@ -100,7 +100,8 @@ def check_integer(
 
 def is_list(value: Any) -> bool:
     """Whether a value is a collection of entries: neither text, a mapping nor an iterator."""
-    return isinstance(value, Collection) and not isinstance(value, (str, bytes, Mapping))
+    one = isinstance(value, (str, bytes, Mapping)) or getattr(value, "ndim", 1) == 0
+    return isinstance(value, Collection) and not one
 
 
 def check_flag(name: str, value: Any) -> bool:

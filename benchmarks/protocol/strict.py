@@ -23,7 +23,8 @@ class Strict:
     def _no_other_key(cls: Any, data: Any) -> Any:
         names = [field.name for field in dataclasses.fields(cls)]
         if isinstance(data, dict) and (unknown := data.keys() - names):
-            raise ValueError(f"unknown key '{min(unknown)}'; known keys: {known(names)}")
+            own = [name for name in names if name != "name"]  # a preset has its file's
+            raise ValueError(f"unknown key '{min(unknown)}'; known keys: {known(own)}")
         return data
 
 

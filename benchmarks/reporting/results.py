@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from operator import attrgetter
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, ClassVar, Final, NamedTuple, Self
 
 import pandas as pd
 
@@ -41,8 +41,12 @@ AS_TRAINED: Final = Level(acting=EXPLORING)
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One run that was tested."""
+    """One run that was tested; the columns that its files ``need``."""
 
+    need: ClassVar[dict[str, tuple[str, ...]]] = {
+        "episodes": ("episode", "reset_seed", "start", "noise", "success"),
+        "curve": ("timesteps", "episodes"),
+    }
     config: dict[str, Any]
     folder: RunFolder
     episodes: pd.DataFrame
@@ -51,7 +55,7 @@ class Result:
     def read(cls, folder: RunFolder) -> Self:
         """A run from its folder; BenchmarkError where it is damaged or of another schema."""
         folder.meta()
-        rows = folder.rows("episodes")
+        rows = folder.rows("episodes", *cls.need["episodes"])
         if "masks" in rows:  # older runs were also played under other masks than their own
             rows = rows[rows["masks"].fillna("own") == "own"].drop(columns="masks")
         return cls(folder.config(), folder, rows)
@@ -68,7 +72,7 @@ class Result:
     @cached_property
     def curve(self) -> pd.DataFrame:
         """The training curve; BenchmarkError where none is stored."""
-        return self.folder.rows("curve")
+        return self.folder.rows("curve", *self.need["curve"])
 
     @property
     def error(self) -> float:

@@ -61,9 +61,10 @@ def _check_run(run: RunFolder, starts: dict[tuple[object, ...], str]) -> list[st
     if cell.method == DESIGN:
         run.rows("design")
         return []
+    result = Result.read(run)
     if cell.learns and "entry" not in config:  # whatever name it goes by
-        run.rows("curve")
-    problems = _check_episodes(Result.read(run), cell, starts)
+        _ = result.curve  # an error if it is missing
+    problems = _check_episodes(result, cell, starts)
     if run.policy.is_file() and run.policy_digest() != meta["training"].get("policy_sha256"):
         problems.append("policy.zip is not the policy whose digest its meta.json has")
     return problems

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, Self, cast
+from typing import Any, Final, Self
 
 import pandas as pd
 import yaml
@@ -200,9 +200,15 @@ class RunFolder:
         """Write ``<name>.csv`` (curve, episodes, design)."""
         write_csv(self.path / f"{name}.csv", rows)
 
-    def rows(self, name: str) -> pd.DataFrame:
-        """Read ``<name>.csv``."""
-        return cast("pd.DataFrame", self._read(f"{name}.csv", pd.read_csv))
+    def rows(self, name: str, *columns: str) -> pd.DataFrame:
+        """Read ``<name>.csv``, which must have ``columns``."""
+        rows: pd.DataFrame = self._read(f"{name}.csv", pd.read_csv)
+        if missing := {*columns} - {*rows}:
+            raise BenchmarkError(
+                f"{self.path / name}.csv lacks the column '{min(missing)}'; delete {self.path} and "
+                "run the preset again"
+            )
+        return rows
 
     def has_rows(self, name: str) -> bool:
         return (self.path / f"{name}.csv").is_file()

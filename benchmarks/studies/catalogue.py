@@ -75,6 +75,12 @@ def stores(results: Path) -> dict[str, Path]:
     }
 
 
+def others(results: Path) -> list[Path]:
+    """The stores of presets of one's own."""
+    markers = [*results.glob("*/store.json"), *results.glob("classic/*/store.json")]
+    return sorted({marker.parent for marker in markers} - {*stores(results).values()})
+
+
 def all_blocks(results: Path) -> Mapping[str, Block]:
     """Every block that a page may hold."""
     from coop_env import CoopInsertionEnv
@@ -119,7 +125,7 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
     are no results, or none of one of ``presets``.
     """
     there, found = stores(results), False
-    if not there and not presets:
+    if not (there or presets or others(results)):
         raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
     checks: list[tuple[str, Path, Callable[[], list[str]]]] = []
     for name in presets or there:
@@ -147,8 +153,7 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
         found |= bool(problems)
     if presets:
         return
-    markers = [*results.glob("*/store.json"), *results.glob("classic/*/store.json")]
-    for folder in sorted({marker.parent for marker in markers} - {*there.values()}):
+    for folder in others(results):
         yield f"{folder}: not looked at; --preset FILE says what is in it", []
     if found:
         yield "Pages: not looked at until these differences are mended", []

@@ -133,13 +133,18 @@ def within_limits(x: float, y: float, z: float, p: DeltaParams) -> bool:
 
 @njit(cache=True)
 def is_valid(x: float, y: float, z: float, p: DeltaParams) -> bool:
-    """Whether a position is within the workspace and real on all three limbs."""
+    """Whether a position is within the workspace, real on all limbs, and hangs below the knees.
+
+    Beyond the plane through the knees lies the other assembly mode, across a parallel singularity.
+    """
     if not within_limits(x, y, z, p):
         return False
-    for limb in range(3):  # noqa: SIM110 (numba takes no generator)
-        if not abs(limb_triangle(x, y, z, limb, p)[1]) <= 1.0:
-            return False
-    return True
+    reachable, theta = inverse(x, y, z, p)
+    if not reachable:
+        return False
+    a, b, c = knee(theta[0], 0, p), knee(theta[1], 1, p), knee(theta[2], 2, p)
+    n = cross(minus(b, a), minus(c, a))
+    return dot(minus((x, y, z), a), n) * n[2] < 0.0  # on the side that :func:`forward` takes
 
 
 def make_params(geometry: DeltaGeometry) -> DeltaParams:

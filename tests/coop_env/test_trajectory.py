@@ -146,6 +146,11 @@ def test_the_clock_of_the_paper_is_kept_or_refused() -> None:
         make_trajectory(way, move_time=0.02)
 
 
+# above its knees' plane at the second place below
+FOLDING = {
+    "base_radius": 0.2333, "effector_radius": 0.0439, "proximal_length": 0.205,
+    "distal_length": 0.3132,
+}  # fmt: skip
 STILL = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_jerk": 1e-9}
 
 
@@ -155,6 +160,12 @@ STILL = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_
         ([HOME, LOW], {"delta": STILL}, TrajectoryError, "move 0: these joint limits admit no"),
         ([HOME, HOME + 0.5, HOME], {}, TrajectoryError, r"configuration 1 of 3, .* out of reach"),
         ([HOME, HOME * np.nan, HOME], {}, TrajectoryError, "configuration 1 of 3"),
+        (
+            [[0.0, 0.0, -0.2, 0.0, 0.0, 0.21], [-0.0125, 0.0889, -0.1306, 0.0, 0.0, 0.21]],
+            {"delta": FOLDING},
+            TrajectoryError,
+            "configuration 1 of 2, .* is in another assembly mode: its joint angles lead to",
+        ),
         ([[0.0] * 6, [0.0] * 5], {}, ArgumentError, "configurations: must be numbers"),
         ([HOME], {}, ArgumentError, "configurations of shape"),
         ([HOME, HOME], {"delta": {"max_joint_jerk": 0.0}}, GeometryError, "max_joint_jerk = 0.0"),

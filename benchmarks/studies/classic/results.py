@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +17,11 @@ from benchmarks.runs.store import Store
 
 class Run(Result):
     """One complete run of a learner or a control."""
+
+    need: ClassVar = {
+        "episodes": ("episode", "seed", "return"),
+        "curve": ("timesteps", "return_mean"),
+    }
 
     @property
     def score(self) -> float:
@@ -52,8 +58,8 @@ class SuiteResults:
             )
             if (named := run.folder.meta()["cell"]) != cell.id:
                 problems.append(f"meta.json is of the run '{named}'")
-            if cell.learns:  # an error if it is missing
-                run.folder.rows("curve")
+            if cell.learns:
+                _ = run.curve  # an error if it is missing
             result += [f"{run.folder.path}: {problem}" for problem in problems]
         return result
 

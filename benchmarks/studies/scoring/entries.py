@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
+from operator import index
 from pathlib import Path
 from typing import Any, Final
 
@@ -220,7 +221,7 @@ def _moves(answer: Any, name: str) -> list[int]:
     if answer is None:
         return []
     try:
-        moves = [int(move) for move in answer]
+        moves = [index(move) for move in answer]
     except (TypeError, ValueError):
         raise BenchmarkError(f"planner '{name}' returned {answer!r}, not a list of moves") from None
     wrong = [move for move in moves if not 0 <= move < 12]

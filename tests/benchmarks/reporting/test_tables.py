@@ -362,7 +362,8 @@ def test_rows_of_older_runs_under_other_masks_are_left_out(tmp_path: Path) -> No
     folder = RunFolder(tmp_path)
     (tmp_path / "config.yaml").write_text("cell: {seed: 4}\ntrack: {}\n", encoding="utf-8")
     (tmp_path / "meta.json").write_text('{"schema": 1}', encoding="utf-8")
-    rows = ROWS.assign(masks=["own", np.nan, "paper", "own"])
+    every: Any = {"reset_seed": 1, "start": "s", "success": 1}  # columns of any run
+    rows = ROWS.assign(masks=["own", np.nan, "paper", "own"], **every)
     rows.to_csv(tmp_path / "episodes.csv", index=False)
     result = Result.read(folder)
     assert result.seed == 4

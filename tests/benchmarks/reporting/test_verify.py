@@ -197,6 +197,8 @@ def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
         ("config.yaml", "cell: [", "cannot be read"),
         ("config.yaml", "{}", "lacks 'cell'"),
         ("episodes.csv", "", "cannot be read"),
+        ("episodes.csv", "episode,success\n0,1\n", "episodes.csv lacks the column 'noise'"),
+        ("curve.csv", "a,b\n0,1\n", "curve.csv lacks the column 'episodes'"),
     ):
         kept = (run / name).read_bytes()
         (run / name).write_text(text, encoding="utf-8")
@@ -253,6 +255,10 @@ def test_a_damaged_file_is_a_line_and_the_rest_is_checked(
 def test_a_store_of_a_preset_of_ones_own_is_named(copy: Path, done: Command) -> None:
     folder = Store.open(copy / "results", "my2", create=True).folder
     assert f"{folder}: not looked at; --preset FILE" in done(*words(copy))
+    alone = Store.open(copy / "other", "my2", create=True).folder
+    for command, said in (("verify", "not looked at"), ("report", "left out")):
+        out = done(command, "--results", str(copy / "other"))
+        assert f"{alone}: {said}; --preset FILE says what is in it" in out
 
 
 def test_a_report_rewrites_the_readme(copy: Path, done: Command) -> None:

@@ -16,6 +16,7 @@ import stable_baselines3
 from gymnasium import spaces
 
 from benchmarks.cli import main
+from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import (
     Condition,
     begin_episodes,
@@ -244,6 +245,13 @@ def test_moves_past_the_end_are_not_made() -> None:
     (episode,) = begin_episodes({"reward": "progress"}, 0, 1)
     follow(episode, checked(lambda env: [], "none"))
     assert (episode.moves, episode.failure) == (0, "no plan")
+
+
+@pytest.mark.parametrize("moves", [[3.9], ["7"], "01", 3])
+def test_moves_that_are_no_integers_are_refused(moves: Any) -> None:
+    (episode,) = begin_episodes({"reward": "progress"}, 0, 1)
+    with pytest.raises(BenchmarkError, match=r"'mine' returned .*, not a list of moves"):
+        follow(episode, checked(lambda env: moves, "mine"))
 
 
 @pytest.mark.parametrize(

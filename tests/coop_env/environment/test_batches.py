@@ -137,7 +137,9 @@ def test_sb3s_tools_and_wrappers_work_on_the_batch(form: Any) -> None:
     batch.close()
 
 
-@pytest.mark.parametrize("bad", [{"target": 9}, [{"target": 1}], [{}, {"filled": 3}], 5])
+@pytest.mark.parametrize(
+    "bad", [{"target": 9}, [{"target": 1}], [{}, {"filled": 3}], {"filled": np.array(1)}, 5]
+)
 def test_bad_options_leave_the_old_ones(bad: Any) -> None:
     env = CoopInsertionVecEnv(2, seed=0)
     here = (0.01, 0.0, -0.33, 0.1, 0.1, 0.22)

@@ -162,6 +162,7 @@ def test_a_wider_singular_margin_ends_episodes_sooner() -> None:
         ({"holes": [(2.0, 0.0)]}, r"holes\[0\] polar angle = 2.0"),
         ({"holes": [0.1, 0.2]}, r"holes\[0\] = 0.1: must be two numbers"),
         ({"holes": "six"}, "holes = 'six'"),
+        ({"holes": np.array(0.1)}, "holes = array"),
         ({"stage_0_holes": 0}, "stage_0_holes = 0"),
     ],
 )

@@ -10,6 +10,10 @@ from coop_env.kinematics import delta, delta_kernels
 from tests.coop_env.kinematics.reference import RADIAL
 
 OTHER = DeltaGeometry(base_radius=0.2, effector_radius=0.05, proximal_length=0.3, distal_length=0.7)
+# whose limbs also reach places above its knees' plane, within the paper's bounds
+FOLDING = DeltaGeometry(
+    base_radius=0.233, effector_radius=0.044, proximal_length=0.205, distal_length=0.313
+)
 
 
 def _positions(count: int, seed: int = 0, geometry: DeltaGeometry = DELTA) -> np.ndarray:
@@ -21,7 +25,7 @@ def _positions(count: int, seed: int = 0, geometry: DeltaGeometry = DELTA) -> np
     return points[delta.is_valid(points, geometry)][:count]
 
 
-@pytest.mark.parametrize("geometry", [DELTA, OTHER], ids=["default", "other"])
+@pytest.mark.parametrize("geometry", [DELTA, OTHER, FOLDING], ids=["default", "other", "folding"])
 def test_forward_undoes_inverse_over_the_workspace(geometry: DeltaGeometry) -> None:
     points = _positions(5000, geometry=geometry)
     theta, reachable = delta.inverse(points, geometry)
@@ -31,6 +35,14 @@ def test_forward_undoes_inverse_over_the_workspace(geometry: DeltaGeometry) -> N
     # at the edge of reach the map q -> x is steep: a rounding error grows by 1 / sqrt(margin)
     np.testing.assert_allclose(result.position, points, atol=1e-9)
     assert result.residual.max() < 1e-12
+
+
+def test_what_lies_beyond_a_parallel_singularity_is_not_valid() -> None:
+    p, points = FOLDING, np.random.default_rng(0).uniform([-0.1, -0.1, -0.2], 0.1, (20_000, 3))
+    inside = (delta.workspace_margin(points, p) > 0) & (delta.limb_margin(points, p) > 0).all(-1)
+    sigma = delta.signed_sigma_min(points[inside], p)
+    assert (sigma < 0).sum() > 10
+    np.testing.assert_array_equal(delta.is_valid(points[inside], p), sigma > 0)
 
 
 def test_links_have_their_lengths_and_knees_point_out() -> None:
