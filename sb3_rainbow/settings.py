@@ -167,7 +167,7 @@ def check_settings(model: Any) -> None:
     if model.max_grad_norm is not None and not model.max_grad_norm > 0.0:
         raise ValueError(f"max_grad_norm must be positive, or None, got {model.max_grad_norm}")
     interval = model.target_update_interval
-    if interval is not None and (interval < 1 or interval != int(interval)):
+    if interval is not None and (interval < 1 or interval % 1):
         raise ValueError(
             f"target_update_interval must be at least 1 and whole, or None, got {interval}"
         )

@@ -236,6 +236,7 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"n_atoms": "51"}, "n_atoms must be a number, got '51'"),
         ({"v_min": "a", "v_max": "b"}, "v_min must be a number, got 'a'"),
         ({"target_update_interval": "x"}, "target_update_interval must be a number, got 'x'"),
+        ({"target_update_interval": np.inf}, "target_update_interval must be at least 1 and whole"),
         ({"target_update_interval": 10.5}, "target_update_interval must be at least 1 and whole"),
     ],
 )
