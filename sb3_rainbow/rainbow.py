@@ -439,6 +439,8 @@ class Rainbow(ResumableAlgorithm):
         small ``buffer_size`` is raised to the smallest legal one: pass 1 if you only predict.
         """
         given = {**(custom_objects or {}), **kwargs}
+        if "seed" in given:
+            kwargs["seed"] = given["seed"]
         if "tau" in given:
             kwargs["_tau_was_chosen"] = given["tau"] is not None
         model = super().load(

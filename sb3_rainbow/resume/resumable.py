@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Iterable
 from typing import Any, Self
 
-import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 
@@ -73,20 +72,12 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
             self._rng_state = None
 
     @classmethod
-    def load(
-        cls,
-        path: SaveFile,
-        env: GymEnv | None = None,
-        device: th.device | str = "auto",
-        custom_objects: dict[str, Any] | None = None,
-        *args: Any,
-        **kwargs: Any,
-    ) -> Self:
-        """As SB3's ``load``; a ``seed`` that is given wins over the saved random generators."""
+    def load(cls, path: SaveFile, *args: Any, **kwargs: Any) -> Self:
+        """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators."""
         refuse_checkpoint(path)
-        model = super().load(path, env, device, custom_objects, *args, **kwargs)
+        model = super().load(path, *args, **kwargs)
         saved, model._rng_state = model._rng_state, None
-        if {**(custom_objects or {}), **kwargs}.get("seed") is None:
+        if kwargs.get("seed") is None:
             model._rng_to_resume = saved
         return model
 
