@@ -64,8 +64,23 @@ def inverse(x: float, y: float, z: float, p: DeltaParams) -> tuple[bool, Row]:
 @njit(cache=True)
 def knee(theta: float, limb: int, p: DeltaParams) -> Row:
     """A knee moved inwards by the effector's radius: the effector's centre lies l_p from it, m."""
-    reach = p.base_radius - p.effector_radius + p.proximal_length * math.cos(theta)
-    return reach * LIMB_COS[limb], reach * LIMB_SIN[limb], -p.proximal_length * math.sin(theta)
+    return _knee_at(math.cos(theta), math.sin(theta), limb, p)
+
+
+@njit(cache=True)
+def _knee_at(cos: float, sin: float, limb: int, p: DeltaParams) -> Row:
+    reach = p.base_radius - p.effector_radius + p.proximal_length * cos
+    return reach * LIMB_COS[limb], reach * LIMB_SIN[limb], -p.proximal_length * sin
+
+
+@njit(cache=True)
+def _knee_below(x: float, y: float, z: float, limb: int, p: DeltaParams) -> Row:
+    """:func:`knee` of a position, without its angle: masks ask for six a step. NaN out of reach."""
+    radial, k = limb_triangle(x, y, z, limb, p)
+    if not abs(k) <= 1.0:
+        return math.nan, math.nan, math.nan
+    r, s = math.hypot(radial, z), math.sqrt(1.0 - k * k)
+    return _knee_at((radial * k - z * s) / r, -(z * k + radial * s) / r, limb, p)
 
 
 @njit(cache=True)
@@ -139,12 +154,10 @@ def is_valid(x: float, y: float, z: float, p: DeltaParams) -> bool:
     """
     if not within_limits(x, y, z, p):
         return False
-    reachable, theta = inverse(x, y, z, p)
-    if not reachable:
-        return False
-    a, b, c = knee(theta[0], 0, p), knee(theta[1], 1, p), knee(theta[2], 2, p)
-    n = cross(minus(b, a), minus(c, a))
-    return dot(minus((x, y, z), a), n) * n[2] < 0.0  # on the side that :func:`forward` takes
+    a, b = _knee_below(x, y, z, 0, p), _knee_below(x, y, z, 1, p)
+    n = cross(minus(b, a), minus(_knee_below(x, y, z, 2, p), a))
+    # on the side that :func:`forward` takes; NaN is on none
+    return dot(minus((x, y, z), a), n) * n[2] < 0.0
 
 
 def make_params(geometry: DeltaGeometry) -> DeltaParams:
