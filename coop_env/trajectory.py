@@ -37,7 +37,6 @@ REASONS: Final = {
     state.SINGULAR: "too near a singularity, or beyond it",
 }
 _SAME: Final = 1e-12  # rad
-_MET: Final = 1e-6  # m or rad
 _BOW: Final = 1e-3
 """m and rad by which a way, straight for the joints, may bow out of a robot's workspace."""
 
@@ -192,7 +191,8 @@ def make_trajectory(
     if not reached.all():
         index = int(np.argmin(reached))
         raise TrajectoryError(
-            f"configuration {index} of {len(points)}, {points[index].tolist()}, is out of reach"
+            f"configuration {index} of {len(points)}, {points[index].tolist()}, is out of reach, "
+            "or in another assembly mode of the Delta"
         )
     kinds = [f"max_joint_{kind}" for kind in ("velocity", "acceleration", "jerk")]
     each = [[getattr(owner, kind) for owner in (robot, rrs)] for kind in kinds]
@@ -212,12 +212,6 @@ def make_trajectory(
         rrs=r._replace(heave_min=low, heave_max=high, max_tilt=tilt),
     )
     result, status = _follow(positions, points[0], pack(bowed))
-    if (missed := np.abs(result[stops] - points).max(axis=1) > _MET).any():  # not where NaN
-        index = int(np.argmax(missed))
-        raise TrajectoryError(
-            f"configuration {index} of {len(points)}, {points[index].tolist()}, is in another "
-            f"assembly mode: its joint angles lead to {result[stops[index]].tolist()}"
-        )
     times = TIMESTEP * np.arange(len(positions), dtype=np.float64)
     return Trajectory(times, positions, velocities, accelerations, result, status, stops)
 

@@ -67,6 +67,8 @@ def served_by(
     Raises:
         ValueError: if the buffer cannot do what was asked for, or nobody could.
     """
+    if prioritized not in (True, False, None):
+        raise ValueError(f"prioritized must be True, False or None, got {prioritized!r}")
     prioritizes = buffer_class is None or issubclass(buffer_class, PrioritizedReplayBuffer)
     sums = prioritizes or issubclass(buffer_class, NStepReplayBuffer)  # type: ignore[arg-type]
     name = getattr(buffer_class, "__name__", "")

@@ -133,6 +133,7 @@ def not_brought_by(extras: str) -> set[str]:
     return {module for module, of in modules if not {*map(canonicalize_name, of)} & brought}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extras", ON_EXTRAS)
 def test_an_install_brings_all_that_its_commands_need(extras: str, tmp_path: Path) -> None:
     missing = not_brought_by(extras)

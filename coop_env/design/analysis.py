@@ -18,9 +18,11 @@ from coop_env.design.problem import (
     DesignProblem,
     Floats,
     Samples,
+    check_list,
     workspace_area,
     workspace_map,
 )
+from coop_env.errors import check_integer, check_number
 from coop_env.geometry import GeometryError, RRSGeometry
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch, tilt_azimuth
@@ -100,6 +102,7 @@ def over_heaves(
     >>> over_heaves(OPTIMIZED, [0.20, 0.21]).round(2).tolist()  # the cliff below home
     [0.57, 1.16]
     """
+    check_list("heaves", heaves, "heights")
     each = (replace(problem, heaves=(float(heave),)) for heave in heaves)
     return np.array([workspace_area(geometry, at_heave) for at_heave in each])
 
@@ -125,8 +128,8 @@ def under_tolerances(
     The error of a length is the same on all three limbs, because the closed forms used here rest
     on their symmetry. Draws that break the paper's constraints count as zero.
     """
-    if not tolerance >= 0.0:
-        raise DesignError(f"tolerance = {tolerance!r} m: must not be negative")
+    check_number("tolerance", tolerance, 0.0, error=DesignError)
+    check_integer("draws", draws, 0, error=DesignError)
     rng = np.random.default_rng(0)
     areas = np.zeros(draws)
     for i in range(draws):
@@ -195,10 +198,13 @@ def cone_trajectory(
     return home; smooth up to the third rate.
 
     Raises:
-        DesignError: tilt not in (0, pi/2).
+        DesignError: tilt not in (0, pi/2), a heave that is none, or no duration.
     """
-    if not 0.0 < tilt < math.pi / 2:
+    if not 0.0 < check_number("tilt", tilt, error=DesignError) < math.pi / 2:
         raise DesignError(f"tilt = {tilt!r} rad: must lie in (0, pi/2)")
+    check_list("heave", heave, "the lowest and the highest", 2)
+    low, high = (check_number("a height of heave", h, error=DesignError) for h in heave)
+    check_number("duration", duration, 0.0, above=True, error=DesignError)
     time = np.linspace(0.0, duration, 1201)
     u = time / duration
     lean = tilt * _smoothstep(u / 0.25) * _smoothstep((1.0 - u) / 0.25)
@@ -206,7 +212,6 @@ def cone_trajectory(
     n = np.stack(
         [np.sin(lean) * np.cos(azimuth), np.sin(lean) * np.sin(azimuth), np.cos(lean)], axis=-1
     )
-    low, high = heave
     height = low + (high - low) * np.sin(math.pi * _smoothstep(u)) ** 2
     return PlatformTrajectory(time, np.concatenate([roll_pitch(n), height[:, None]], axis=-1))
 
@@ -218,6 +223,9 @@ def validate(
 
     Unreachable poses make ``valid`` False and leave NaN in q and in the figures.
 
+    Raises:
+        DesignError: the trajectory has fewer than three samples.
+
     >>> from coop_env.geometry import OPTIMIZED
     >>> validate(OPTIMIZED).valid
     True
@@ -226,6 +234,8 @@ def validate(
         home = geometry.home_heave
         trajectory = cone_trajectory(heave=(home, min(home + 0.01, geometry.heave_max)))
     time, poses = trajectory.time, trajectory.poses
+    if len(time) < 3:
+        raise DesignError(f"a trajectory of {len(time)} samples: three at least have a jerk")
     q, reachable = rrs.inverse(poses, geometry)
     sigma = rrs.signed_sigma_min(poses, geometry)
     rates = rrs.joint_rates(poses, np.gradient(poses, time, axis=0, edge_order=2), geometry)

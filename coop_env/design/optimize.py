@@ -15,6 +15,7 @@ from coop_env.design.problem import (
     Floats,
     Objective,
     Samples,
+    check_list,
     sample_points,
     workspace_area,
 )
@@ -145,6 +146,12 @@ def optimize(
     """
     check_number("simplex", simplex, 0.0, above=True, error=DesignError)
     check_integer("max_evaluations", max_evaluations, 1, error=DesignError)
+    check_list("constraints", constraints, "functions of a geometry")
+    check_list("start", start, "lambda1 and lambda2", 2)
+    for i, number in enumerate(start):
+        check_number(f"lambda{i + 1} of start", number, error=GeometryError)
+    if seed is not None:
+        check_integer("seed", seed, 0, error=DesignError)
     rng = None if seed is None else np.random.default_rng(seed)
     cost = _Cost(problem, objective, sample_points(problem, rng), constraints)
     problem.geometry(*start)  # says which constraint a start breaks
@@ -200,6 +207,8 @@ def optimize_globally(
     """
     for name, number in (("population", population), ("generations", generations)):
         check_integer(name, number, 1, error=DesignError)
+    check_integer("seed", seed, 0, error=DesignError)
+    check_list("constraints", constraints, "functions of a geometry")
     cost = _Cost(problem, objective, sample_points(problem), constraints)
     start = INITIAL.lambdas[:2]
     start_value = max(cost.value(*start), 0.0)
@@ -262,10 +271,14 @@ def atlas(
     Problem, objective and constraints are as in :func:`optimize`; ``progress`` is called with the
     rows done and the rows in all.
     """
-    rows, columns = (
-        np.arange(low, high, 0.04) if given is None else np.asarray(given, dtype=float)
-        for given, (low, high) in zip((lambda1, lambda2), FEASIBLE_BOX, strict=True)
-    )
+    axes = []
+    for name, given, (low, high) in zip(
+        ("lambda1", "lambda2"), (lambda1, lambda2), FEASIBLE_BOX, strict=True
+    ):
+        if given is not None:
+            check_list(name, given, "numbers")
+        axes.append(np.arange(low, high, 0.04) if given is None else np.asarray(given, float))
+    rows, columns = axes
     cost = _Cost(problem, objective, sample_points(problem), constraints)
     value = np.empty((len(rows), len(columns)))
     for i, a in enumerate(rows):
@@ -283,5 +296,6 @@ def at_heaves(problem: DesignProblem, heaves: Sequence[float]) -> DesignProblem:
     >>> at_heaves(DesignProblem(), [0.20, 0.22]).heaves
     (0.21, 0.2, 0.22)
     """
+    check_list("heaves", heaves, "heights")
     others = tuple(float(h) for h in heaves if h != problem.home_heave)
     return replace(problem, heaves=(problem.home_heave, *others))

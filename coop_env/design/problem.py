@@ -36,6 +36,12 @@ class DesignError(ValueError):
     """A design problem that cannot be solved as posed; the message names the value and the mend."""
 
 
+def check_list(name: str, values: Any, of: str, count: int | None = None) -> None:
+    """DesignError unless the value is a list, of so many entries where a ``count`` is given."""
+    if not is_list(values) or len(values) != (len(values) if count is None else count):
+        raise DesignError(f"{name} = {values!r}: must be a list of {of}")
+
+
 @dataclass(frozen=True, slots=True)
 class DesignProblem:
     """The setting in which designs (lambda1, lambda2) are compared. Lengths in m, angles in rad.
@@ -68,8 +74,9 @@ class DesignProblem:
     pose_model: str = "exact"
 
     def __post_init__(self) -> None:
-        if not is_list(self.heaves) or not len(self.heaves):
-            raise DesignError(f"heaves = {self.heaves!r}: must be heights, the home heave first")
+        check_list("heaves", self.heaves, "heights, the home heave first")
+        if not len(self.heaves):
+            raise DesignError("heaves is empty: it has the home heave at least")
         object.__setattr__(self, "heaves", tuple(self.heaves))
         for i, heave in enumerate(self.heaves):
             check_number(f"heaves[{i}]", heave, 0.0, above=True, error=DesignError)
@@ -173,6 +180,21 @@ def sample_points(problem: DesignProblem, rng: np.random.Generator | None = None
     )
 
 
+def _samples(samples: Samples | None, problem: DesignProblem) -> Samples:
+    """The cells' centres, or what is given if it has a point in each of the problem's cells."""
+    centres = sample_points(problem)
+    if samples is None:
+        return centres
+    half = problem.extent / problem.cells * (1.0 + 1e-9)
+    for name, given, middle in zip(Samples._fields, samples, centres, strict=True):
+        if np.shape(given) != middle.shape or not (np.abs(given - middle) <= half).all():
+            raise DesignError(
+                f"samples.{name}: must be a point in each of the problem's {problem.cells} x "
+                f"{problem.cells} cells up to {problem.extent:.3g} rad: sample_points(problem)"
+            )
+    return samples
+
+
 def workspace_area(
     geometry: RRSGeometry, problem: DesignProblem = PAPER_PROBLEM, samples: Samples | None = None
 ) -> float:
@@ -184,7 +206,7 @@ def workspace_area(
     >>> round(workspace_area(INITIAL), 2), round(workspace_area(OPTIMIZED), 2)
     (0.82, 1.16)
     """
-    samples = samples or sample_points(problem)
+    samples = _samples(samples, problem)
     inside = (_survey(geometry, problem, samples, heave, False)[2] for heave in problem.heaves)
     return problem.cell_area * min(int(cells.sum()) for cells in inside)
 
@@ -196,7 +218,7 @@ def workspace_map(
     heave: float | None = None,
 ) -> WorkspaceMap:
     """Signed sigma_min and kappa over the whole grid, NaN out of reach, and the home component."""
-    samples = samples or sample_points(problem)
+    samples = _samples(samples, problem)
     height = problem.home_heave if heave is None else float(heave)
     sigma, kappa, inside = _survey(geometry, problem, samples, height, True)
     return WorkspaceMap(samples, sigma, kappa, inside, problem.cell_area * int(inside.sum()))

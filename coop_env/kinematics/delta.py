@@ -87,7 +87,7 @@ def _forward(p: Any, a: Any, b: Any, c: Any, position: Any, residual: Any, reach
 
 
 def forward(theta: ArrayLike, geometry: DeltaGeometry = DELTA) -> Forward:
-    """Position of actuated angles ``(..., 3)``, by three spheres; the effector hangs below.
+    """Position of actuated angles ``(..., 3)``, by three spheres, in home's assembly mode.
 
     >>> found = forward([0.195992144, 0.760383495, 0.523628320])
     >>> found.position.round(6).tolist(), bool(found.reachable)

@@ -88,7 +88,7 @@ def forward(theta: Row, p: DeltaParams) -> tuple[bool, Row]:
     """Effector centre of three actuated angles, m, and whether the limbs meet; NaN if not.
 
     The spheres of radius l_p about the three moved knees meet in two points, mirror images in the
-    knees' plane; the one below is the assembly mode in which the effector hangs.
+    knees' plane; of the two assembly modes this is the one in which the effector hangs at home.
     """
     nan = (math.nan, math.nan, math.nan)
     a, b, c = knee(theta[0], 0, p), knee(theta[1], 1, p), knee(theta[2], 2, p)
@@ -103,7 +103,7 @@ def forward(theta: Row, p: DeltaParams) -> tuple[bool, Row]:
     h2 = p.distal_length * p.distal_length - dot(m, m)
     if not h2 >= 0.0:
         return False, nan
-    h = -math.copysign(math.sqrt(h2 / nn), n[2])
+    h = -math.sqrt(h2 / nn)
     return True, (a[0] + m[0] + h * n[0], a[1] + m[1] + h * n[1], a[2] + m[2] + h * n[2])
 
 
@@ -148,16 +148,16 @@ def within_limits(x: float, y: float, z: float, p: DeltaParams) -> bool:
 
 @njit(cache=True)
 def is_valid(x: float, y: float, z: float, p: DeltaParams) -> bool:
-    """Whether a position is within the workspace, real on all limbs, and hangs below the knees.
+    """Whether a position is within the workspace, real on all limbs, and in home's assembly mode.
 
-    Beyond the plane through the knees lies the other assembly mode, across a parallel singularity.
+    The other mode lies beyond the plane through the knees, across a parallel singularity.
     """
     if not within_limits(x, y, z, p):
         return False
     a, b = _knee_below(x, y, z, 0, p), _knee_below(x, y, z, 1, p)
     n = cross(minus(b, a), minus(_knee_below(x, y, z, 2, p), a))
     # on the side that :func:`forward` takes; NaN is on none
-    return dot(minus((x, y, z), a), n) * n[2] < 0.0
+    return dot(minus((x, y, z), a), n) < 0.0
 
 
 def make_params(geometry: DeltaGeometry) -> DeltaParams:

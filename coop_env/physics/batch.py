@@ -233,8 +233,9 @@ class PhysicsBatch(ABC):
             self._noise[row, :3] = np.hypot(self.task.force_noise, errors.force_noise)
             return
         raise GeometryError(
-            f"SimToReal.link_length_error = {self.knobs.link_length_error:g}: none of {TRIES} "
-            "machines drawn can take the start; choose a smaller one"
+            f"link_length_error = {self.knobs.link_length_error:g}: none of {TRIES} machines drawn "
+            f"can take the start {start.round(4).tolist()}, the 3-RRS's base off by "
+            f"{self.error[row].round(4).tolist()}: choose a smaller one, or another start"
         )
 
     def _carried_out(self, led: Floats) -> Floats:

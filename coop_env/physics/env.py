@@ -49,7 +49,8 @@ class PhysicsRow(Rendered):
         """Start an episode; the class says which ``options`` there are.
 
         Raises:
-            ResetOptionError: an option is malformed; nothing has changed.
+            ResetOptionError: an option is malformed, and nothing has changed; or bodies overlap at
+                a configuration that is given, and no episode runs.
             ClosedEnvironmentError: :meth:`close` was called.
         """
         checked, row = self.batch.check_options(options), self._row

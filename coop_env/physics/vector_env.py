@@ -12,6 +12,7 @@ from coop_env.errors import check_integer
 from coop_env.physics.batch import PhysicsBatch
 from coop_env.physics.contact import ContactBatch
 from coop_env.physics.env import PhysicsRow, check_increments, move
+from coop_env.physics.task import split_options
 from coop_env.physics.whole import WholeBatch
 from coop_env.simulation.task import N_ACTIONS, N_AXES
 from coop_env.vector.vector_env import check_actions, lesser_limit, seeds_of
@@ -64,6 +65,7 @@ class PhysicsVectorEnv(SyncVectorEnv):
             ResetOptionError: an option is malformed.
             ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
+        split_options(options)  # before Gymnasium looks for a mask in them
         return super().reset(seed=seeds_of(seed, self.num_envs), options=options)
 
     def step(self, actions: Any) -> Any:

@@ -134,8 +134,7 @@ def rrs_valid(c: Configuration, p: EnvParams) -> bool:
 @njit(cache=True)
 def delta_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row]:
     """Validity of the Delta's half of a configuration, and theta."""
-    real, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
-    return real and delta_kernels.within_limits(c[0], c[1], c[2], p.delta), theta
+    return delta_valid(c, p), delta_kernels.inverse(c[0], c[1], c[2], p.delta)[1]
 
 
 @njit(cache=True)

@@ -317,6 +317,8 @@ def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
     try:
         if not sizes.keys() <= {"shared", "streams"}:
             raise ValueError
+        if not all(isinstance(part, list | tuple) for part in sizes.values()):
+            raise ValueError  # SB3 could not load a model of an array
         shared, streams = ([index(n) for n in sizes.get(k, [])] for k in ("shared", "streams"))
         if min([*shared, *streams], default=1) < 1:
             raise ValueError

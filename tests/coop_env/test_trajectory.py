@@ -164,7 +164,7 @@ STILL = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_
             [[0.0, 0.0, -0.2, 0.0, 0.0, 0.21], [-0.0125, 0.0889, -0.1306, 0.0, 0.0, 0.21]],
             {"delta": FOLDING},
             TrajectoryError,
-            "configuration 1 of 2, .* is in another assembly mode: its joint angles lead to",
+            "configuration 1 of 2, .* is out of reach, or in another assembly mode of the Delta",
         ),
         ([[0.0] * 6, [0.0] * 5], {}, ArgumentError, "configurations: must be numbers"),
         ([HOME], {}, ArgumentError, "configurations of shape"),

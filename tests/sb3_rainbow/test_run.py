@@ -229,6 +229,7 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"buffer_size": 3}, "buffer_size=3 is too small"),
         ({"buffer_size": 1e6}, "buffer_size must be an integer, at least 1, got 1000000.0"),
         ({"policy_kwargs": {"n_atoms": 11}}, "Pass n_atoms to Rainbow itself"),
+        ({"prioritized": "False"}, "prioritized must be True, False or None, got 'False'"),
         ({"dueling": None}, "dueling must be True or False, got None"),
         ({"noisy": "yes"}, "noisy must be True or False, got 'yes'"),
         ({"sigma0": "a"}, "sigma0 must be a number, got 'a'"),

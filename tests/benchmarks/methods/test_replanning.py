@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from benchmarks.evaluation.evaluate import begin_episodes, follow
 from benchmarks.methods.base import Plan
@@ -45,6 +46,7 @@ def test_on_the_machine_that_is_modelled_the_plan_is_the_optimums() -> None:
         assert all(e.collisions == 0 for e in ours)
 
 
+@pytest.mark.slow
 def test_who_searches_finds_what_a_plan_alone_does_not() -> None:
     plan = play(Replanner(False, 2_000_000).play, UNSURE)
     result = play(Replanner(True, 2_000_000).play, UNSURE)

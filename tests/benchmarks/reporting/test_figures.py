@@ -68,6 +68,7 @@ def test_a_band_over_few_evaluations_has_intervals_at_these_alone() -> None:
     plt.close()
 
 
+@pytest.mark.slow
 def test_figures_need_no_torch(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, range(2))
     code = (

@@ -85,6 +85,7 @@ def change_digit(path: Path, rng: random.Random, begin: str = "", end: str = "")
     return text[:place].count("\n") + 1
 
 
+@pytest.mark.slow
 def test_the_committed_results_are_what_their_episodes_say(done: Command) -> None:
     out = done(*words(ROOT))
     for name, folder in catalogue.stores(RESULTS).items():

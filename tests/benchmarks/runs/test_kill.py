@@ -29,7 +29,7 @@ KILLS = 6  # of each cell by the clock; the task asks for 20 of all four
 INSIDE = 3  # of these, surely inside training
 CRASHES = 10  # at file operations, half of them among the last
 
-pytestmark = pytest.mark.usefixtures("warm")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("warm")]
 
 
 def left_by(run: RunFolder) -> dict[str, Any]:

@@ -195,6 +195,7 @@ def test_bad_input_is_one_error_and_writes_nothing(
     assert written == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("forked")
 def test_teams_begin_alike_and_verify_agrees(tmp_path: Path, done: Command) -> None:
     tracks = ["in_turn", "central", "vdn", "shared_sight", "independent"]

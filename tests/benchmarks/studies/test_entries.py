@@ -224,6 +224,7 @@ def planners(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_planner_joins_too_and_equals_the_harness_s_own(planners: Path, done: Command) -> None:
     given = {"mine": "my_planner:moves", "mine-plan": "my_planner:plan", "again": "optimum"}
     for name, planner in given.items():

@@ -4,6 +4,7 @@ import doctest
 import importlib
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,8 +48,13 @@ def test_tolerances_widen_the_spread_and_repeat_by_seed() -> None:
     large = design.under_tolerances(OPTIMIZED, 2e-3, 30, COARSE)
     assert small.std() < large.std()
     np.testing.assert_array_equal(small, design.under_tolerances(OPTIMIZED, 2e-4, 30, COARSE))
-    with pytest.raises(DesignError, match="tolerance"):
-        design.under_tolerances(OPTIMIZED, -1.0)
+    for wrong in (-1.0, math.inf):
+        with pytest.raises(DesignError, match="tolerance"):
+            design.under_tolerances(OPTIMIZED, wrong)
+    with pytest.raises(DesignError, match="draws"):
+        design.under_tolerances(OPTIMIZED, 0.0, -1)
+    with pytest.raises(DesignError, match="heaves"):
+        design.over_heaves(OPTIMIZED, 0.2)  # type: ignore[arg-type]
 
 
 def test_a_grid_that_does_not_hold_the_cone_has_no_figures_of_it() -> None:
@@ -96,8 +102,13 @@ def test_a_trajectory_too_far_is_reported_not_hidden() -> None:
     out = design.validate(INITIAL, design.cone_trajectory(heave=(0.21, 0.6)))
     assert not out.valid
     assert math.isnan(out.joint_high)
-    with pytest.raises(DesignError, match="tilt"):
-        design.cone_trajectory(tilt=2.0)
+    wrong: dict[str, Any] = {"tilt": 2.0, "heave": 0.21, "duration": 0.0}
+    for name, value in wrong.items():
+        with pytest.raises(DesignError, match=name):
+            design.cone_trajectory(**{name: value})
+    whole = design.cone_trajectory()
+    with pytest.raises(DesignError, match="2 samples"):
+        design.validate(INITIAL, design.PlatformTrajectory(whole.time[:2], whole.poses[:2]))
 
 
 @pytest.mark.parametrize("name", ["", ".problem", ".optimize", ".analysis"])

@@ -46,12 +46,34 @@ def test_a_search_cut_short_says_so() -> None:
         assert "has been exceeded" in cut.message
         assert len(cut.path) == cut.evaluations
         assert cut.value >= cut.start_value
-    wrong: dict[str, Any] = {"max_evaluations": 0, "simplex": math.inf}
-    for name, value in wrong.items():
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("max_evaluations", 0),
+        ("simplex", math.inf),
+        ("start", (1.5, 1.5, 1.0)),
+        ("start", "ab"),
+        ("seed", -1),
+        ("constraints", math.sin),
+    ],
+)
+def test_impossible_arguments_of_a_search_are_named(name: str, value: Any) -> None:
+    with pytest.raises(DesignError, match=name):
+        design.optimize(COARSE, **{name: value})
+    if name in ("seed", "constraints"):
         with pytest.raises(DesignError, match=name):
-            design.optimize(COARSE, **{name: value})
+            design.optimize_globally(COARSE, **{name: value})
+
+
+def test_impossible_lists_are_named() -> None:
     with pytest.raises(DesignError, match="population"):
         design.optimize_globally(COARSE, population=0)
+    with pytest.raises(DesignError, match=r"lambda1 = 1\.5: must be a list of numbers"):
+        design.atlas(COARSE, 1.5, [1.5])  # type: ignore[arg-type]
+    with pytest.raises(DesignError, match=r"heaves = 0\.2: must be a list"):
+        design.at_heaves(COARSE, 0.2)  # type: ignore[arg-type]
 
 
 def test_the_atlas_peaks_where_nelder_mead_ends() -> None:
@@ -95,7 +117,7 @@ def test_the_global_search_needs_no_workspace_of_the_initial_design() -> None:
 
 
 @pytest.mark.parametrize(
-    "start", [(2.5, 1.0), (1.0, 0.5), (1.0, 2.0), (1.5, -0.2), (math.nan, 1.0)]
+    "start", [(2.5, 1.0), (1.0, 0.5), (1.0, 2.0), (1.5, -0.2), (math.nan, 1.0), (1.5, None)]
 )
 def test_a_start_outside_the_constraints_is_named(start: tuple[float, float]) -> None:
     with pytest.raises(GeometryError, match="lambda"):

@@ -125,3 +125,13 @@ def test_lambdas_and_lengths_are_two_names_of_one_machine() -> None:
     assert sum(g.lambdas) == pytest.approx(4.0)
     again = RRSGeometry.from_lambdas(*g.lambdas[:2], eta=g.characteristic_length)
     assert again.base_radius == pytest.approx(g.base_radius)
+
+
+def test_samples_of_another_grid_are_refused() -> None:
+    problem, rng = DesignProblem(cells=30), np.random.default_rng(0)
+    for drawn in (design.sample_points(problem), design.sample_points(problem, rng)):
+        assert design.workspace_area(OPTIMIZED, problem, drawn) > 1.0
+    for other in (DesignProblem(cells=60), DesignProblem(cells=30, extent=0.5)):
+        for measure in (design.workspace_area, design.workspace_map, design.measure):
+            with pytest.raises(DesignError, match=r"samples\.roll: must be a point in each"):
+                measure(OPTIMIZED, problem, design.sample_points(other))

@@ -86,6 +86,7 @@ def test_a_geometry_of_other_numbers_is_one_of_floats() -> None:
     assert json.loads(json.dumps(asdict(DeltaGeometry(base_radius=np.float64(0.12)))))
 
 
+@pytest.mark.slow
 def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None:
     p = CoopInsertionEnv().params.rrs
     home = rrs_kernels.inverse(rrs_kernels.platform_pose(0.0, 0.0, 0.21, p), p)[1][0]

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, DeltaGeometry, InsertionTask, SimToReal
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, ResetOptionError
 from coop_env.geometry import OPTIMIZED
-from coop_env.simulation.state import state_dtype
+from coop_env.kinematics.delta import signed_sigma_min
+from coop_env.simulation.state import INVALID, VALID, state_dtype
 
 RING = [[0.4, 2.0 * math.pi * k / 9.0] for k in range(9)]
 
@@ -45,6 +46,7 @@ def test_another_delta_reaches_elsewhere() -> None:
     assert high.scene().effector[2] == pytest.approx(high.configuration[2] + 0.95)
 
 
+@pytest.mark.slow
 def test_any_number_of_holes() -> None:
     holes, n = RING, len(RING)  # one number, as each compiles the kernels of the state anew
     arguments: dict[str, Any] = {
@@ -169,3 +171,23 @@ def test_a_wider_singular_margin_ends_episodes_sooner() -> None:
 def test_bad_numbers_of_a_task(task: Any, message: str) -> None:
     with pytest.raises(ArgumentError, match=message):
         CoopInsertionEnv(task=task)
+
+
+def test_a_move_beyond_the_deltas_singularity_is_refused_as_its_mask_says() -> None:
+    folding = {"base_radius": 0.2333, "effector_radius": 0.0439}
+    folding |= {"proximal_length": 0.205, "distal_length": 0.3132}
+    robot = DeltaGeometry(**folding)
+    env = CoopInsertionEnv(delta=robot)
+    beyond, before = (np.array([-0.0125, 0.0889, z, 0.0, 0.0, 0.21]) for z in (-0.1306, -0.1706))
+    assert env.configuration_status(before) == VALID
+    assert env.configuration_status(beyond) == INVALID
+    with pytest.raises(ResetOptionError, match="workspace"):
+        env.reset(options={"configuration": beyond})
+    env.reset(seed=0, options={"configuration": before})
+    refused = []
+    for _ in range(3):
+        allowed = env.action_masks()[4]
+        refused.append(env.step(4)[-1]["violation"])
+        assert refused[-1] is not bool(allowed)
+        assert signed_sigma_min(env.configuration[:3], robot) > 0.0
+    assert refused[-1]

@@ -45,6 +45,23 @@ def test_what_lies_beyond_a_parallel_singularity_is_not_valid() -> None:
     np.testing.assert_array_equal(delta.is_valid(points[inside], p), sigma > 0)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_valid_places_of_any_delta_are_those_that_home_leads_to(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    reach = rng.uniform(0.15, 0.4) * np.array([1.0, rng.uniform(1.02, 1.4)])
+    p = DeltaGeometry(*rng.uniform(0.05, 0.25, 2), *reach)  # some have upright knees' planes
+    r, low, high = p.planar_limit, -reach.sum(), -abs(reach[0] - reach[1])
+    points = rng.uniform([-r, -r, low], [r, r, high], (20_000, 3))
+    inside = points[
+        (delta.workspace_margin(points, p) > 0) & (delta.limb_margin(points, p) > 0).all(-1)
+    ]
+    valid, sigma = delta.is_valid(inside, p), delta.signed_sigma_min(inside, p)
+    np.testing.assert_array_equal(valid, sigma > 0)
+    away = valid & (sigma > 1e-3)  # forward kinematics is steep beside a singularity
+    result = delta.forward(delta.inverse(inside[away], p).theta, p)
+    np.testing.assert_allclose(result.position, inside[away], atol=1e-7)
+
+
 def test_links_have_their_lengths_and_knees_point_out() -> None:
     points = _positions(2000, seed=1)
     limbs = delta.limb_points(points)

@@ -7,9 +7,12 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 import coop_env
+from coop_env.env import CoopInsertionEnv
+from coop_env.errors import ResetOptionError
 from coop_env.geometry import DELTA
 from coop_env.kinematics import delta, rrs
 from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEnv
+from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from tests.coop_env.physics.episodes import NO_ERROR, PUSH, REST, above, steps
 
 
@@ -97,3 +100,20 @@ def test_a_hole_is_seen_where_it_stands_and_filled_when_it_is() -> None:
         off = getattr(moved, name) - getattr(nominal, name)
         np.testing.assert_allclose(off, np.broadcast_to(shift, off.shape), atol=1e-6)
     np.testing.assert_allclose(moved.tip, nominal.tip, atol=1e-6)
+
+
+@pytest.mark.parametrize("knobs", [None, {"force_noise": 1.0}])
+@pytest.mark.parametrize("env_class", [CoopInsertionPhysicsEnv, CoopInsertionPhysicsDiscreteEnv])
+def test_a_start_in_which_the_twins_bodies_overlap_is_refused(env_class: Any, knobs: Any) -> None:
+    """The kinematic model, whose platform has spokes, allows it."""
+    env = env_class(sim_to_real=knobs)
+    env.reset(seed=0)
+    start = [-0.069, -0.058, -0.491, -0.346, 0.543, 0.23]
+    assert CoopInsertionEnv().configuration_status(start) == 0
+    with pytest.raises(ResetOptionError, match=r"'platform_disc' and 'peg' .* overlap there"):
+        env.reset(options={"configuration": start})
+    with pytest.raises(ResetNeeded):
+        env.step(env.action_space.sample())
+    start[2] += 0.05
+    env.reset(options={"configuration": start})
+    env.step(env.action_space.sample())

@@ -230,6 +230,7 @@ def test_a_dict_without_streams_is_a_list(net_arch: dict[str, list[int]]) -> Non
         ({"net_arch": {"pi": [4], "shared": [4]}}, r"shared=\[.*streams=\[.*got {'pi'"),
         ({"net_arch": 8}, "net_arch must be a list of positive sizes or .*got 8"),
         ({"net_arch": [{"vf": [4]}]}, "net_arch must be a list of positive sizes or "),
+        ({"net_arch": np.array([8, 8])}, "net_arch must be a list of positive sizes or "),
         ({"net_arch": [8.5]}, "net_arch must be a list of positive sizes or "),
         ({"net_arch": {"streams": 4}}, "net_arch must be a list of positive sizes or "),
         ({"net_arch": [8, 0]}, r"net_arch must be a list of positive sizes or .*got \[8, 0\]"),

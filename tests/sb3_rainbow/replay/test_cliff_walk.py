@@ -9,6 +9,7 @@ and the learner only updates.
 from typing import Any
 
 import numpy as np
+import pytest
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -71,6 +72,7 @@ def updates_needed(states: int, limit: int, seed: int, prioritized: bool) -> int
     return limit
 
 
+@pytest.mark.slow
 def test_prioritized_replay_learns_the_walk_in_fewer_updates() -> None:
     prioritized, uniform = (  # seeds differ threefold, and by the processor's rounding
         [updates_needed(10, 4000, seed, on) for seed in range(7)] for on in (True, False)

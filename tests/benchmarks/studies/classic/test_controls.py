@@ -36,6 +36,7 @@ REACHED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_script_plays_better_than_chance_and_than_any_one_action(name: str) -> None:
     task, seeds = TASKS[name], range(2000, 2003 if name == "MinAtar/freeway" else 2012)

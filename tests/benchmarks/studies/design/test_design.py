@@ -67,6 +67,7 @@ def test_the_stored_table_is_what_the_command_would_write(result: list[DesignRun
     assert all(len(STORED.rows(name)) for name in names)
 
 
+@pytest.mark.slow
 def test_figures_and_pages_come_from_stored_data_alone(
     site: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

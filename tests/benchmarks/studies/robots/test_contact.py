@@ -43,6 +43,7 @@ def test_each_script_finds_what_it_can_and_searches_press_less_than_a_stiff_push
         assert max(result[name, 3.0]["force"]) < 0.5 * min(stiff["force"])
 
 
+@pytest.mark.slow
 def test_half_the_timestep_changes_neither_success_nor_force() -> None:
     """The contact's time constant is the task's; tied to the timestep it doubled the force.
 
@@ -73,6 +74,7 @@ def test_a_peg_that_slides_from_one_stave_to_the_next_meets_no_blow() -> None:
     assert info["failure"] != "force"
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_prints(site: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     grids = {"compliant push": {"hold": (3.0, 6.0)}, "moment-guided search": {}}
     monkeypatch.setattr(contact_scripts, "GRIDS", grids)

@@ -45,6 +45,7 @@ def _interrupted(*_: object) -> None:
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_a_certificate_finds_what_a_shield_without_margins_lets_through() -> None:
     """Between two looks of its own, and nowhere else, such a shield does not see."""
     env = CoopInsertionEnv(**shield.TASK)
