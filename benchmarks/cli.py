@@ -20,13 +20,16 @@ from benchmarks.runs.backends import BACKENDS, Backend
 from benchmarks.runs.cell import check_gpu, opened, run_here
 from benchmarks.runs.costs import print_plan
 from benchmarks.runs.experiment import Experiment
-from benchmarks.runs.harness import Harness, shown
+from benchmarks.runs.harness import Harness, check_disk, shown
 from benchmarks.runs.store import Store
 from benchmarks.studies import catalogue
 
 Given = argparse.Namespace
 Options = Mapping[str, Mapping[str, Any]]
-MISPLACED: Final = (errno.ENOTDIR, errno.EEXIST, errno.EACCES, errno.EPERM, errno.EROFS)
+MISPLACED: Final = (
+    *(errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENAMETOOLONG),
+    *(errno.EACCES, errno.EPERM, errno.EROFS),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -106,6 +109,9 @@ def train(given: Given) -> int:
     one = catalogue.experiment(given.preset)
     cell, device = one.find(given.cell), _device(given)  # before anything is written
     store = one.open_store(given.results, create=True)
+    if not store.run(cell.id).is_complete():
+        check_disk(one, store, [cell], 1)
+        one.check([cell])
     with shown(store.run(cell.id), Console(soft_wrap=True)):
         return run_here(one, store, cell.id, given.parent, given.wait, device)
 
@@ -173,7 +179,8 @@ def verify(given: Given) -> int:
     """Recompute every table and block; exit code 1 if one disagrees with the stored data."""
     number = 0
     for what, problems in catalogue.verify(given.results, [given.preset] if given.preset else []):
-        print(what)
+        if what:
+            print(what, flush=True)
         number += len(problems)
         for problem in problems:
             print(problem, file=sys.stderr)

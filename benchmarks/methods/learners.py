@@ -31,6 +31,8 @@ from sb3_rainbow import Rainbow
 from sb3_rainbow.policies import RainbowPolicy
 
 CHECKED_BUFFER = 10_000
+# constructor arguments that no preset gives
+OURS: Final = ("policy", "env", "seed", "device", "_init_setup_model")
 LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
 # hyperparameters that off-policy learners know by the same names, and what Rainbow adds
 OFF_POLICY: Final = (
@@ -179,7 +181,7 @@ def _checked(
     algorithm: type[BaseAlgorithm], given: Mapping[str, Any], env: VecEnv, where: str
 ) -> dict[str, Any]:
     """Constructor arguments of a preset as the algorithm takes them."""
-    accepted, arguments = _accepted(algorithm), dict(given)
+    accepted, arguments = [n for n in _accepted(algorithm) if n not in OURS], dict(given)
     for name in arguments:
         if name not in accepted:
             raise BenchmarkError(f"{where} has no argument '{name}'; known: {known(accepted)}")

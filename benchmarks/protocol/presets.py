@@ -6,6 +6,7 @@ and overrides what it must, usually only ``timesteps``. ``base`` names the libra
 change; without it, the entry of the same name.
 """
 
+import os
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product
@@ -356,7 +357,10 @@ def preset_names() -> list[str]:
 
 def load(name: str) -> Preset | SuitePreset:
     """A preset by name, or by the path of a ``.yaml`` file; BenchmarkError if it will not do."""
-    path = Path(name) if name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
+    own = name.lower().endswith((".yaml", ".yml")) or os.sep in name
+    path = Path(name) if own else PRESETS / f"{name}.yaml"
+    if own and not path.is_file():
+        raise BenchmarkError(f"preset '{name}': there is no such file")
     if not path.is_file() or (path.parent == PRESETS and path.stem not in preset_names()):
         raise BenchmarkError(
             f"unknown preset '{name}'; known presets: {known(preset_names())} "

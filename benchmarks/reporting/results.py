@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Final, NamedTuple, Self
 
 import pandas as pd
 
-from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXPLORING, GREEDY, HOLES, SUCCESS, Metric
@@ -20,7 +19,7 @@ from benchmarks.protocol.plan import CONTROLS, DESIGN, METHODS, OPTIMUM_AT_ONCE,
 from benchmarks.protocol.presets import Preset, load, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.reporting.tables.table import MISSING, Number, TableCell
-from benchmarks.runs.store import RunFolder, Store, changes
+from benchmarks.runs.store import RunFolder, Store
 
 SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
 SEEDS: Final = 3  # of a finding; fewer are a lead
@@ -72,7 +71,7 @@ class Result:
     @cached_property
     def curve(self) -> pd.DataFrame:
         """The training curve; BenchmarkError where none is stored."""
-        return self.folder.rows("curve", *self.need["curve"])
+        return self.folder.curve(*self.need["curve"])
 
     @property
     def error(self) -> float:
@@ -264,13 +263,7 @@ class Results:
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
             mine = runs.setdefault(key, [])
             mine.append(run)
-            # of a preset that was changed between two seeds, say
-            if changed := changes(*({**each.config, "cell": None} for each in (mine[0], run))):
-                raise BenchmarkError(
-                    f"{mine[0].folder.path} and {folder.id} differ in more than their seed "
-                    f"({'; '.join(changed[:4])}): they are no runs of one method; delete one, "
-                    "or move it away"
-                )
+            mine[0].folder.check_alike(folder.id, run.config)
             if "track" in run.config:  # what was run counts, not what the preset says today
                 self.settings[cell["track"]] = run.config["track"]
         self.groups = {

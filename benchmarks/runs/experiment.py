@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from rich.console import Console
+from rich.progress import track
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol import plan
@@ -126,7 +127,10 @@ class Experiment(ABC, Generic[P]):
 
     def write_tables(self, store: Store, console: Console) -> None:
         """Write the tables of the complete runs, and print the main ones."""
-        for table in self.tables(store):
+        if not (tables := self.tables(store)):
+            console.print("Tables: none yet, no run is complete")
+            return
+        for table in tables:
             table.write(store.tables)
             if table.name in self.printed and table.rows:
                 console.print(table.markdown(), markup=False, highlight=False)
@@ -134,8 +138,12 @@ class Experiment(ABC, Generic[P]):
 
     def write_figures(self, store: Store, console: Console) -> None:
         """Draw the figures of the complete runs."""
-        if drawn := [picture.write(store.figures) for picture in self.pictures(store)]:
+        options: Any = {"console": console, "disable": not console.is_terminal, "transient": True}
+        shown = track(self.pictures(store), "Figures", **options)
+        if drawn := [picture.write(store.figures) for picture in shown]:
             console.print(f"Figures: {len(drawn)} in {store.figures}")
+        else:
+            console.print("Figures: none yet, no run that they show is complete")
 
     def report(self, store: Store, console: Console) -> None:
         """Everything that is made of the complete runs."""

@@ -67,8 +67,9 @@ def check_disk(experiment: Experiment, store: Store, todo: Sequence[Cell], slots
     free = shutil.disk_usage(store.folder).free
     if free < needed:
         raise BenchmarkError(
-            f"{store.folder}: {needed / 1e9:.1f} GB may be needed for {len(todo)} runs, "
-            f"{free / 1e9:.1f} GB are free; make room, use another --results folder or fewer --jobs"
+            f"{store.folder}: {needed / 1e6:,.0f} MB may be needed (runs: {len(todo)}), "
+            f"{free / 1e6:,.0f} MB are free; make room, use another --results folder or fewer "
+            "--jobs"
         )
 
 
@@ -120,9 +121,12 @@ class Harness:
 
     def _admit(self, cells: Sequence[Cell]) -> None:
         """Queue the cells that are still to run; all are checked against their settings first."""
+        first = {_but_seed(run.id): run for run in self.store.completed()}
         for cell in cells:
             folder, config = self.store.run(cell.id), self.experiment.settings(cell)
             folder.check_config(config)
+            if kept := first.get(_but_seed(cell.id)):
+                kept.check_alike(cell.id, config)
             if folder.is_complete():
                 folder.drop_checkpoint()  # left by a process that was killed at its very end
                 self._outcome.skipped.append(cell.id)
@@ -238,6 +242,10 @@ def shown(folder: RunFolder, console: Console) -> Iterator[None]:
 
     with Live(console=console, refresh_per_second=PER_SECOND, get_renderable=look):
         yield
+
+
+def _but_seed(cell_id: str) -> str:
+    return cell_id.rpartition("-s")[0]
 
 
 def _tail(log: Path, lines: int = 8) -> str:

@@ -108,14 +108,16 @@ def _parsed(path: Path, parse: Callable[[Path], Any], version: tuple[int, ...]) 
     return parse(path)
 
 
-def _mapping(parse: Callable[[str], Any], path: Path) -> dict[str, Any]:
+def _mapping(parse: Callable[[str], Any], part: str, path: Path) -> dict[str, Any]:
     if not isinstance(data := parse(path.read_text(encoding="utf-8")), dict):
         raise ValueError("no mapping")
+    if not isinstance(data.get(part, {}), dict):
+        raise ValueError(f"'{part}' is no mapping")
     return data
 
 
-_from_json = partial(_mapping, json.loads)
-_from_yaml = partial(_mapping, partial(yaml.load, Loader=SAFE_LOADER))
+_from_json = partial(_mapping, json.loads, "training")
+_from_yaml = partial(_mapping, partial(yaml.load, Loader=SAFE_LOADER), "cell")
 
 
 class RunFolder:
@@ -149,6 +151,16 @@ class RunFolder:
         if not (self.path / "config.yaml").is_file():
             text = yaml.safe_dump(dict(config), sort_keys=False)
             write_text(self.path / "config.yaml", text)
+
+    def check_alike(self, other: str, config: Mapping[str, Any]) -> None:
+        """Raise BenchmarkError if another seed's run ``other`` has other settings than this one."""
+        mine, theirs = ({**each, "cell": None} for each in (self.config(), config))
+        if changed := changes(mine, json.loads(json.dumps(theirs))):
+            raise BenchmarkError(
+                f"{self.path} and {other} differ in more than their seed "
+                f"({'; '.join(changed[:4])}): they are no runs of one method; delete one, "
+                "or move it away"
+            )
 
     def check_config(self, config: Mapping[str, Any]) -> None:
         """Raise BenchmarkError if the folder holds a run with other settings than ``config``."""
@@ -210,6 +222,18 @@ class RunFolder:
             )
         return rows
 
+    def curve(self, *columns: str) -> pd.DataFrame:
+        """Read curve.csv, which must have ``columns`` of numbers up to the training's end."""
+        rows = self.rows("curve", "timesteps", *columns)
+        end = self.meta().get("training", {}).get("timesteps")
+        numbers = rows.select_dtypes("number").shape[1] == rows.shape[1]
+        if not (numbers and len(rows) and end in (None, rows["timesteps"].iloc[-1])):
+            raise BenchmarkError(
+                f"{self.path / 'curve.csv'} does not lead to the training's end, step {end}; "
+                f"delete {self.path} and run the preset again"
+            )
+        return rows
+
     def has_rows(self, name: str) -> bool:
         return (self.path / f"{name}.csv").is_file()
 
@@ -232,8 +256,8 @@ class RunFolder:
             return 1.0, "complete"
         try:
             data = json.loads((self.checkpoint / "progress.json").read_text(encoding="utf-8"))
-            return float(data["done"]), str(data["note"])
-        except (OSError, ValueError, KeyError):
+            return min(1.0, max(0.0, float(data["done"]))), str(data["note"])
+        except (OSError, ValueError, KeyError, TypeError):
             return 0.0, ""
 
     def lock(self, wait: float = 0.0) -> AbstractContextManager[None]:

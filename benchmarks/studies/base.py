@@ -167,6 +167,8 @@ class Measured(OfOneFile):
         self._others = self.path.is_file()  # what the file holds is of other settings
         if self._others:
             stored = read_stored(self.path)
+            if not isinstance(stored, dict) or not isinstance(stored.get("parts"), dict):
+                raise BenchmarkError(f"{self.path} holds no study's parts; move it away")
             if stored.get("asked") == self.result["asked"]:
                 self.result, self._others = stored, False
         self.result |= {"command": given.command, "machine": describe()}

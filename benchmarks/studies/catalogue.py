@@ -121,8 +121,8 @@ def _of_store(one: Experiment, results: Path) -> list[str]:
 def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Check the stores of ``presets`` (all under ``results`` if none is named), studies and pages.
 
-    Yields what was looked at, and a sentence for each thing that disagrees. BenchmarkError if there
-    are no results, or none of one of ``presets``.
+    Yields what is looked at, then a sentence for each thing that disagrees, if any does.
+    BenchmarkError if there are no results, or none of one of ``presets``.
     """
     there, found = stores(results), False
     if not (there or presets or others(results)):
@@ -143,14 +143,16 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
         what = f"Study {name}: its text against its data"
         checks.append((what, file, partial(of.problems, results)))
     for what, path, check in checks:
+        yield what, []
         try:
             problems = check()
         except BenchmarkError as error:  # a damaged file ends its check, the others go on
             problems = [str(error)]
         except Exception as error:  # whatever comes of what may stand in a file
             problems = [f"{path}: a file cannot be read ({type(error).__name__}: {error})"]
-        yield what, problems
-        found |= bool(problems)
+        if problems:
+            yield "", problems
+            found = True
     if presets:
         return
     for folder in others(results):

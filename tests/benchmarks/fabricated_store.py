@@ -84,7 +84,13 @@ def fill(
              "reset_seed": seed}
             for i, seed in enumerate(seeds)
         ]  # fmt: skip
-    learned = {"singular": 2, "episodes": 500, "final_success_20": 0.9, "curriculum_switch": 300}
+    learned = {
+        "timesteps": 500,
+        "singular": 2,
+        "episodes": 500,
+        "final_success_20": 0.9,
+        "curriculum_switch": 300,
+    }
     with mock.patch("os.fsync"):  # half of the time, and no test needs it
         run.begin(settings(preset, cell))
         run.write_rows("episodes", rows)

@@ -62,9 +62,11 @@ class Replay(Insertion):
         not_run, without_policy = len(self.cells) - len(complete), len(complete) - len(playing)
         self.cells = [cell for cell in playing if cell.method != DESIGN]
         if not any(cell.learns for cell in self.cells):
-            raise BenchmarkError(
-                f"{self.source.folder} has no trained policy to score: run the preset first"
-            )
+            mend = "run the preset first"
+            if without_policy:  # git keeps those of few presets
+                mend = f"those of {without_policy} complete runs are not here; delete the folder "
+                mend += "of one and run the preset again"
+            raise BenchmarkError(f"{self.source.folder} has no trained policy to score: {mend}")
         return not_run, without_policy
 
     def check(self, todo: Sequence[Cell]) -> None:

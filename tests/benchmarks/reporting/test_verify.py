@@ -191,15 +191,21 @@ def test_a_policy_that_is_not_its_runs_is_named(store: Store) -> None:
 
 def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
     run = learners(store)[0].path
+    curve = (run / "curve.csv").read_text("utf-8")
+    head, half = curve.split("\n")[0] + "\n", curve[: len(curve) // 2]
+    curves = (head, half[: half.rindex("\n")], curve.replace("0.5", "a", 1))
     for name, text, message in (
         ("meta.json", '{"schema": 99}', "has results schema 99, this version reads 1"),
         ("meta.json", "{", "cannot be read"),
         ("meta.json", "[]", "cannot be read (no mapping)"),
         ("config.yaml", "cell: [", "cannot be read"),
+        ("meta.json", '{"schema": 1, "training": null}', "'training' is no mapping"),
         ("config.yaml", "{}", "lacks 'cell'"),
+        ("config.yaml", "cell: a", "'cell' is no mapping"),
         ("episodes.csv", "", "cannot be read"),
         ("episodes.csv", "episode,success\n0,1\n", "episodes.csv lacks the column 'noise'"),
-        ("curve.csv", "a,b\n0,1\n", "curve.csv lacks the column 'episodes'"),
+        ("curve.csv", "timesteps\n500\n", "curve.csv lacks the column 'episodes'"),
+        *(("curve.csv", text, "does not lead to the training's end, step 500") for text in curves),
     ):
         kept = (run / name).read_bytes()
         (run / name).write_text(text, encoding="utf-8")
@@ -275,10 +281,10 @@ def test_the_public_tasks_tables_must_follow_from_their_runs(tmp_path: Path) -> 
     public = catalogue.experiment("public")  # no run yet: dashes
     for table in public.tables(store):
         table.write(store.tables)
-    ((_, problems),) = catalogue.verify(tmp_path / "results", ["public"])
+    ((_, problems),) = catalogue.verify(tmp_path / "results", ["public"])  # what is looked at
     assert problems == []
     change_digit(store.tables / "scores.md", random.Random(4))
-    ((_, (problem,)),) = catalogue.verify(tmp_path / "results", ["public"])
+    _, (_, (problem,)) = catalogue.verify(tmp_path / "results", ["public"])
     assert "scores.md differs" in problem
 
 

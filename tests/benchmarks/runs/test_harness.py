@@ -100,7 +100,22 @@ def test_an_impossible_cell_is_refused_before_the_start(
     path = smoke_file(tmp_path, "odd", track=track, runs=runs)
     words = ["--preset", str(path), "--results", str(tmp_path / "results")]
     assert message in refused("run", *words)
+    assert message in refused("train", *words, "--cell", f"{method}-optimized-safe-s0")
     assert not (tmp_path / "results" / "odd" / "runs").exists()
+
+
+def test_a_run_of_other_settings_than_another_seeds_is_refused_before_the_start(
+    long_preset: Path, tmp_path: Path, refused: Command
+) -> None:
+    one = Insertion(str(long_preset))
+    run = one.open_store(tmp_path / "results", create=True).run("dqn-optimized-safe-s9")
+    settings = one.settings(one.cells[0])
+    run.begin({**settings, "track": {**settings["track"], "timesteps": 480}})
+    run.write_meta({"training": {}})
+    words = ["--preset", str(long_preset), "--results", str(tmp_path / "results")]
+    assert "s0 differ in more than their seed (track.timesteps: 480 -> 10000000)" in refused(
+        "run", *words
+    )
 
 
 class FakeJob(Job):
@@ -236,10 +251,10 @@ def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:
     for slots in (1, 2, 1000):
         with pytest.raises(BenchmarkError, match="make room") as caught:
             check_disk(Insertion(preset), store, expand(preset), slots)
-        result: Any = re.search(r": ([\d.]+) GB may be needed for 250 runs", str(caught.value))
-        needed.append(float(result[1]))
+        result: Any = re.search(r": ([\d,]+) MB may be needed \(runs: 250\)", str(caught.value))
+        needed.append(int(result[1].replace(",", "")))
     # two checkpoints of 200 bytes for each of 1e9 transitions are 400 GB; 100 cells learn
-    assert needed == [405.0, 805.0, 40_005.0]
+    assert needed == [405_000, 805_000, 40_005_000]
 
 
 def test_a_planner_that_is_asked_to_stop_stops(tmp_path: Path) -> None:

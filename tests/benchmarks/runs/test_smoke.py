@@ -160,6 +160,8 @@ def test_other_starts_are_starts_of_their_own(
     ("words", "message"),
     [
         (["run", "--preset", "fast"], "unknown preset 'fast'"),
+        (["run", "--preset", "none.yaml"], "preset 'none.yaml': there is no such file"),
+        (["run", "--preset", "smoke", "--results", "x" * 300], "name another place"),
         (["train", "--preset", "smoke", "--cell", "ppo-s0"], "nearest: dqn-optimized-safe-s0"),
         (["study", "light"], "unknown study 'light'; known: audit, codesign"),
         (["evaluate", "--preset", "smoke", "--name", "x"], "--name belongs to a --model"),

@@ -104,6 +104,17 @@ def test_progress_is_not_worth_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert RunFolder(tmp_path).progress() == (0.0, "")
 
 
+@pytest.mark.parametrize(
+    ("text", "share"),
+    [("[]", 0.0), ('{"done": null, "note": ""}', 0.0), ('{"done": NaN, "note": ""}', 0.0),
+     ('{"done": 5, "note": ""}', 1.0), ('{"done": 0.5, "note": "half"}', 0.5)],
+)  # fmt: skip
+def test_a_progress_of_any_content_is_a_share(tmp_path: Path, text: str, share: float) -> None:
+    run = RunFolder(tmp_path / "run")
+    write_text(run.checkpoint / "progress.json", text)
+    assert run.progress()[0] == share
+
+
 @pytest.mark.parametrize("marker", ['{"schema": 999}', "{}", "not json"])
 def test_another_schema_is_refused_and_left_alone(
     tmp_path: Path, marker: str, refused: Command

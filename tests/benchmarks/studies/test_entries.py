@@ -355,7 +355,7 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
 
 
 def test_the_documented_study_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: Command
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: Command, refused: Command
 ) -> None:
     section = (ROOT / "docs" / "own_method.md").read_text("utf-8").split("## A study")[1]
     code = section.split("```python\n")[1].split("```")[0]
@@ -363,6 +363,10 @@ def test_the_documented_study_runs(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_study.py").write_text(code, encoding="utf-8")
     done(*command.split()[3:])
-    stored = json.loads((tmp_path / "results" / "lengths" / "lengths.json").read_text("utf-8"))
+    path = tmp_path / "results" / "lengths" / "lengths.json"
+    stored = json.loads(path.read_text("utf-8"))
     assert stored["command"] == command.strip()
     assert set(stored["parts"]) == {"initial", "optimized"}
+    path.write_text("[]", encoding="utf-8")
+    assert "holds no study's parts" in refused(*command.split()[3:])
+    assert path.read_text("utf-8") == "[]"

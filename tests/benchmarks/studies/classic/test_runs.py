@@ -194,6 +194,7 @@ def test_bad_presets_are_refused(change: dict[str, object], message: str, tmp_pa
         ({"policy": "NoPolicy"}, "NoPolicy"),
         ({"methods": {"dqn": {"learning_rate": "lin_fast"}}}, "'fast'"),
         ({"methods": {"dqn": {"lerning_rate": 1.0}}}, "no argument 'lerning_rate'"),
+        ({"methods": {"dqn": {"seed": 1}}}, "no argument 'seed'"),
         ({"methods": {"dqn": {"learning_rate": "1e-3"}}}, "1.0e-3"),
     ],
 )
