@@ -20,7 +20,7 @@ from benchmarks.runs.backends import BACKENDS, Backend
 from benchmarks.runs.cell import check_gpu, opened, run_here
 from benchmarks.runs.costs import print_plan
 from benchmarks.runs.experiment import Experiment
-from benchmarks.runs.harness import Harness, check_disk, shown
+from benchmarks.runs.harness import Harness, check_disk, check_settings, shown
 from benchmarks.runs.store import Store
 from benchmarks.studies import catalogue
 
@@ -110,6 +110,7 @@ def train(given: Given) -> int:
     cell, device = one.find(given.cell), _device(given)  # before anything is written
     store = one.open_store(given.results, create=True)
     if not store.run(cell.id).is_complete():
+        check_settings(one, store, [cell])
         check_disk(one, store, [cell], 1)
         one.check([cell])
     with shown(store.run(cell.id), Console(soft_wrap=True)):

@@ -37,6 +37,7 @@ REASONS: Final = {
     state.SINGULAR: "too near a singularity, or beyond it",
 }
 _SAME: Final = 1e-12  # rad
+_MET: Final = 1e-6  # m or rad
 _BOW: Final = 1e-3
 """m and rad by which a way, straight for the joints, may bow out of a robot's workspace."""
 
@@ -212,6 +213,12 @@ def make_trajectory(
         rrs=r._replace(heave_min=low, heave_max=high, max_tilt=tilt),
     )
     result, status = _follow(positions, points[0], pack(bowed))
+    if (missed := np.abs(result[stops] - points).max(axis=1) > _MET).any():  # not where NaN
+        index = int(np.argmax(missed))
+        raise TrajectoryError(
+            f"configuration {index} of {len(points)}, {points[index].tolist()}, is in another "
+            f"assembly mode: its joint angles lead to {result[stops[index]].tolist()}"
+        )
     times = TIMESTEP * np.arange(len(positions), dtype=np.float64)
     return Trajectory(times, positions, velocities, accelerations, result, status, stops)
 

@@ -83,7 +83,7 @@ class Rainbow(ResumableAlgorithm):
         seed: seed of all random generators.
         double_q: choose the action at t + n with the online network.
         dueling: value and advantage streams.
-        prioritized: draw transitions in proportion to their losses; uniformly if False. ``None``
+        prioritized: draw transitions by the size of their errors; uniformly if False. ``None``
             (default) is True, or with a buffer that keeps no priorities False, with a warning.
         noisy: explore by noisy layers.
         distributional: learn the distribution of returns: ``"quantile"`` as ``n_atoms`` quantiles,

@@ -6,7 +6,6 @@ and overrides what it must, usually only ``timesteps``. ``base`` names the libra
 change; without it, the entry of the same name.
 """
 
-import os
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product
@@ -355,11 +354,16 @@ def preset_names() -> list[str]:
     return sorted(p.stem for p in PRESETS.glob("*.yaml") if not p.stem.startswith("_"))
 
 
+def own_file(name: str) -> Path | None:
+    """The file whose path a preset's name is; None for one that comes with the package."""
+    return Path(name) if name.endswith((".yaml", ".yml")) else None
+
+
 def load(name: str) -> Preset | SuitePreset:
     """A preset by name, or by the path of a ``.yaml`` file; BenchmarkError if it will not do."""
-    own = name.lower().endswith((".yaml", ".yml")) or os.sep in name
-    path = Path(name) if own else PRESETS / f"{name}.yaml"
-    if own and not path.is_file():
+    own = own_file(name)
+    path = own or PRESETS / f"{name}.yaml"
+    if own and not own.is_file():
         raise BenchmarkError(f"preset '{name}': there is no such file")
     if not path.is_file() or (path.parent == PRESETS and path.stem not in preset_names()):
         raise BenchmarkError(

@@ -112,7 +112,8 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
             said += f" {rival.theirs.title} is {as_good}{_but_greedily(rival, compared)}."
         elif outcome(rival) == SAME:
             above = _above(rival.difference)
-            said += f" Rainbow is {above} {rival.theirs.title}, which may be chance"
+            corrected = "after the correction for all learners " * (rival.p < SIGNIFICANCE)
+            said += f" Rainbow is {above} {rival.theirs.title}, which {corrected}may be chance"
             said += f"{_but_greedily(rival, compared)}."
     if there := on_track(results, "terminal"):
         said += f" Where a collision ends the episode, {there}."

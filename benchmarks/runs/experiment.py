@@ -17,7 +17,7 @@ from rich.progress import track
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol import plan
 from benchmarks.protocol.plan import Cell
-from benchmarks.protocol.presets import Preset, SuitePreset, load
+from benchmarks.protocol.presets import Preset, SuitePreset, load, own_file
 from benchmarks.runs.store import RunFolder, Store
 
 StopRequested = Callable[[], bool]
@@ -42,8 +42,8 @@ class Experiment(ABC, Generic[P]):
         self.preset: P = load(preset) if isinstance(preset, str) else preset  # type: ignore[assignment]
         name = self.name = self.preset.name
         if isinstance(preset, str):
-            is_file = preset.endswith((".yaml", ".yml"))
-            name = str(Path(preset).resolve()) if is_file else preset
+            file = own_file(preset)
+            name = str(file.resolve()) if file else preset
         self.recipe: dict[str, Any] = {"preset": name}
         self.cells = plan.expand(self.preset)  # in the order in which they are to begin
 
@@ -143,7 +143,7 @@ class Experiment(ABC, Generic[P]):
         if drawn := [picture.write(store.figures) for picture in shown]:
             console.print(f"Figures: {len(drawn)} in {store.figures}")
         else:
-            console.print("Figures: none yet, no run that they show is complete")
+            console.print("Figures: none")
 
     def report(self, store: Store, console: Console) -> None:
         """Everything that is made of the complete runs."""

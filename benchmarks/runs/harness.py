@@ -68,9 +68,19 @@ def check_disk(experiment: Experiment, store: Store, todo: Sequence[Cell], slots
     if free < needed:
         raise BenchmarkError(
             f"{store.folder}: {needed / 1e6:,.0f} MB may be needed (runs: {len(todo)}), "
-            f"{free / 1e6:,.0f} MB are free; make room, use another --results folder or fewer "
-            "--jobs"
+            f"{free / 1e6:,.0f} MB are free; make room, or use another --results folder"
+            f"{' or fewer --jobs' if slots > 1 else ''}"
         )
+
+
+def check_settings(experiment: Experiment, store: Store, todo: Sequence[Cell]) -> None:
+    """Refuse cells that the store has with other settings, or another seed of which it has so."""
+    alike = {run.id.rpartition("-s")[0]: run for run in store.completed()}
+    for cell in todo:
+        config = experiment.settings(cell)
+        store.run(cell.id).check_config(config)
+        if kept := alike.get(cell.id.rpartition("-s")[0]):
+            kept.check_alike(cell.id, config)
 
 
 class Harness:
@@ -121,12 +131,9 @@ class Harness:
 
     def _admit(self, cells: Sequence[Cell]) -> None:
         """Queue the cells that are still to run; all are checked against their settings first."""
-        first = {_but_seed(run.id): run for run in self.store.completed()}
+        check_settings(self.experiment, self.store, cells)
         for cell in cells:
             folder, config = self.store.run(cell.id), self.experiment.settings(cell)
-            folder.check_config(config)
-            if kept := first.get(_but_seed(cell.id)):
-                kept.check_alike(cell.id, config)
             if folder.is_complete():
                 folder.drop_checkpoint()  # left by a process that was killed at its very end
                 self._outcome.skipped.append(cell.id)
@@ -242,10 +249,6 @@ def shown(folder: RunFolder, console: Console) -> Iterator[None]:
 
     with Live(console=console, refresh_per_second=PER_SECOND, get_renderable=look):
         yield
-
-
-def _but_seed(cell_id: str) -> str:
-    return cell_id.rpartition("-s")[0]
 
 
 def _tail(log: Path, lines: int = 8) -> str:

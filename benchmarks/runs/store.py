@@ -223,16 +223,16 @@ class RunFolder:
         return rows
 
     def curve(self, *columns: str) -> pd.DataFrame:
-        """Read curve.csv, which must have ``columns`` of numbers up to the training's end."""
-        rows = self.rows("curve", "timesteps", *columns)
+        """Read curve.csv, which must have ``columns``, numbers alone, and be whole."""
+        path, rows = self.path / "curve.csv", self.rows("curve", "timesteps", *columns)
         end = self.meta().get("training", {}).get("timesteps")
-        numbers = rows.select_dtypes("number").shape[1] == rows.shape[1]
-        if not (numbers and len(rows) and end in (None, rows["timesteps"].iloc[-1])):
-            raise BenchmarkError(
-                f"{self.path / 'curve.csv'} does not lead to the training's end, step {end}; "
-                f"delete {self.path} and run the preset again"
-            )
-        return rows
+        if not path.read_bytes().endswith(b"\n") or rows["timesteps"].tolist()[-1:] != [end]:
+            fault = f"is cut off before the training's end, step {end}"
+        elif rows.select_dtypes("number").shape != rows.shape:
+            fault = "holds what is no number"
+        else:
+            return rows
+        raise BenchmarkError(f"{path} {fault}; delete {self.path} and run the preset again")
 
     def has_rows(self, name: str) -> bool:
         return (self.path / f"{name}.csv").is_file()

@@ -117,7 +117,7 @@ class Failures(Study):
         run = self.store.run(cell.id)
         model = load_stored(run.policy)
         # the share that it solved in the last tenth of its training, with its exploration
-        acting = tail_mean(run.rows("curve"), "success")
+        acting = tail_mean(run.curve("success"), "success")
         oracle = LatticeOracle(real=self.preset.tracks[cell.track].sim_to_real is not None)
         played = play(self.preset, cell, model, oracle, tick)
         self.rows += [{**row, "acting": acting} for row in played]

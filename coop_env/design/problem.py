@@ -38,7 +38,7 @@ class DesignError(ValueError):
 
 def check_list(name: str, values: Any, of: str, count: int | None = None) -> None:
     """DesignError unless the value is a list, of so many entries where a ``count`` is given."""
-    if not is_list(values) or len(values) != (len(values) if count is None else count):
+    if not is_list(values) or count not in (None, len(values)):
         raise DesignError(f"{name} = {values!r}: must be a list of {of}")
 
 

@@ -232,10 +232,11 @@ class PhysicsBatch(ABC):
             self._machine_errors[row] = np.hstack(errors) - np.hstack(UNDISTURBED)
             self._noise[row, :3] = np.hypot(self.task.force_noise, errors.force_noise)
             return
+        lengths = self.knobs.link_length_error
         raise GeometryError(
-            f"link_length_error = {self.knobs.link_length_error:g}: none of {TRIES} machines drawn "
-            f"can take the start {start.round(4).tolist()}, the 3-RRS's base off by "
-            f"{self.error[row].round(4).tolist()}: choose a smaller one, or another start"
+            f"{f'link_length_error = {lengths:g}' if lengths else 'sim_to_real'}: none of {TRIES} "
+            f"machines drawn can take the start {start.round(4).tolist()} with error = "
+            f"{self.error[row].round(4).tolist()}: choose smaller errors, or another start"
         )
 
     def _carried_out(self, led: Floats) -> Floats:

@@ -49,8 +49,9 @@ class PhysicsRow(Rendered):
         """Start an episode; the class says which ``options`` there are.
 
         Raises:
-            ResetOptionError: an option is malformed, and nothing has changed; or bodies overlap at
-                a configuration that is given, and no episode runs.
+            ResetOptionError: an option is malformed, or bodies of the simulated machine overlap at
+                the configuration; nothing has changed.
+            GeometryError: no machine drawn within ``sim_to_real`` can take the start.
             ClosedEnvironmentError: :meth:`close` was called.
         """
         checked, row = self.batch.check_options(options), self._row

@@ -178,17 +178,17 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             self.observation_space: Any = with_privileged(self.observation_space)
         self._steps = max(1, round(self.task.dt / self.physics.task.dt))
         self._own: dict[str, Any] = {}
-        self._given = False  # whether the start was, by a reset option
 
     def check_options(self, options: Any) -> start_states.StartOptions:
         own, rest = split_options(options)
         start = super().check_options(rest)
-        self._own, self._given = own, start.configuration is not None
+        self.physics.require_free(start.configuration, own)
+        self._own = own
         return start
 
     def _set_down(self) -> None:
         self._started = False  # until the machine stands
-        self.physics.begin(0, self._states[0], self._own, self.np_random, self._given)
+        self.physics.begin(0, self._states[0], self._own, self.np_random)
         self._started = True
 
     def _tip(self) -> NDArray[Any]:

@@ -180,9 +180,7 @@ class Twin:
         self.require_open()
         model = self.models[row]
         self.base[row] = 0.0 if base is None else base
-        model.body_pos[self._base] = self.base[row, :3]
-        self._turns[row] = roll_pitch_yaw_matrix([*self.base[row, 3:], 0.0])
-        mujoco.mju_mat2Quat(model.body_quat[self._base], self._turns[row].ravel())
+        self._turns[row] = self._stand(model, self.base[row])
         if friction is not None:
             model.geom_friction[self._peg, 0] = friction
         joints, real = self.servo_targets(configuration), self.machines[row]
@@ -195,6 +193,30 @@ class Twin:
         self._controls[row] = joints - self._home_angles[row]
         self._sensors[row] = self.inspect(row)[1].sensordata
         return _readings(self._sensors[row].copy())
+
+    def _stand(self, model: Any, base: ArrayLike) -> Floats:
+        """Put a model's 3-RRS on its base (5,); returns how that is turned."""
+        x, y, z, roll, pitch = np.asarray(base, np.float64)
+        turn = roll_pitch_yaw_matrix([roll, pitch, 0.0])
+        model.body_pos[self._base] = x, y, z
+        mujoco.mju_mat2Quat(model.body_quat[self._base], turn.ravel())
+        return turn
+
+    def overlap(self, configuration: ArrayLike, base: ArrayLike) -> tuple[str, str] | None:
+        """Two bodies of the nominal machine that touch at a configuration (6,), None if it is free.
+
+        The kinematic model does not know all of them. No machine of the twin moves.
+        """
+        model = copy.copy(self._nominal)
+        self._stand(model, base)
+        data = mujoco.MjData(model)
+        data.qpos[:] = self.joint_positions(configuration)
+        mujoco.mj_fwdPosition(model, data)
+        if not data.ncon:
+            return None
+        geoms = [model.geom(number) for number in data.contact[0].geom]
+        one, other = (geom.name or model.body(geom.bodyid[0]).name for geom in geoms)
+        return one, other
 
     def readings(self) -> Readings:
         """What the sensors of all machines said last, (n, ...)."""

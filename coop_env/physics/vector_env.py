@@ -62,7 +62,7 @@ class PhysicsVectorEnv(SyncVectorEnv):
             options: as for the single environment, for each of them.
 
         Raises:
-            ResetOptionError: an option is malformed.
+            ResetOptionError: an option is malformed, or names a start that cannot be taken.
             ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
         split_options(options)  # before Gymnasium looks for a mask in them

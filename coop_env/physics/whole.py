@@ -10,8 +10,7 @@ from coop_env.errors import ResetOptionError, check_integer
 from coop_env.physics import kernels
 from coop_env.physics.batch import LIMIT, OBSERVED, Bools, PhysicsBatch
 from coop_env.physics.joints import Floats
-from coop_env.physics.task import OWN_OPTIONS, Options, draw_error, split_options
-from coop_env.simulation.sim_to_real import UNDISTURBED
+from coop_env.physics.task import OWN_OPTIONS, Options, askew, draw_error, split_options
 
 MAX_STEPS: Final = 2400
 """120 s in control steps, twice the kinematic task's time, as contact takes some."""
@@ -46,49 +45,36 @@ class WholeBatch(PhysicsBatch):
 
     def check_options(self, options: Any) -> tuple[Options, Options]:
         own, rest = split_options(options)
-        self._starts.check_options(rest)
+        self.require_free(self._starts.check_options(rest).configuration, own)
         return own, rest
+
+    def require_free(self, configuration: Any, own: Options) -> None:
+        """Refuse a start that is given, and in which bodies of the nominal machine overlap."""
+        if configuration is None:
+            return
+        base = askew(own.get("error", np.zeros(4)), self._pivot)
+        if bodies := self.twin.overlap(configuration, base):
+            raise ResetOptionError(
+                f"configuration = {[*configuration]}: {bodies[0]!r} and {bodies[1]!r} of the "
+                "simulated machine overlap there: choose another"
+            )
 
     def reset(self, row: int, options: Any, rng: np.random.Generator) -> None:
         own, rest = options
         self._starts.np_random = rng  # one stream: a seed's start is the kinematic one's
         self._starts.reset(options=rest)
-        given = rest.get("configuration") is not None
-        self.begin(row, self._starts.state, own, rng, given)
+        self.begin(row, self._starts.state, own, rng)
 
-    def begin(
-        self, row: int, state: np.void, own: Options, rng: np.random.Generator, given: bool
-    ) -> None:
-        """Set a machine down at a state of the kinematic task; ``rng`` draws what ``own`` lacks.
-
-        Raises:
-            ResetOptionError: its configuration was ``given``, and bodies overlap there.
-        """
+    def begin(self, row: int, state: np.void, own: Options, rng: np.random.Generator) -> None:
+        """Set a machine down at a state of the kinematic task; ``rng`` draws what ``own`` lacks."""
         drawn = draw_error(self.task, rng), float(rng.uniform(*self.task.friction))
         start = np.array(state["configuration"])
-        if given:
-            self._require_free(row, start)
         self.hole[row] = state["target"]
         self._place(row, start, self._pivot, own, drawn, rng)
         self.active[row] = self._wanted[row] = state["active"]
         self.filled[row] = state["filled"]
         self.given_up[row], self.inserted[row] = [], -1
         self.distance[row] = self._to_mouth()[row]
-
-    def _require_free(self, row: int, start: Floats) -> None:
-        """Refuse a start of the nominal machine in contact: masks do not know all of its bodies."""
-        self.rngs[row] = None  # until a machine stands
-        if self.knobs.active:
-            self.twin.disturb(row, UNDISTURBED)
-        self.twin.place(row, start)
-        model, data = self.twin.inspect(row)
-        if data.ncon:
-            geoms = [model.geom(number) for number in data.contact[0].geom]
-            one, other = (geom.name or model.body(geom.bodyid[0]).name for geom in geoms)
-            raise ResetOptionError(
-                f"configuration = {start.tolist()}: {one!r} and {other!r} of the simulated machine "
-                "overlap there: choose another"
-            )
 
     def step(self, actions: Floats) -> None:
         self._action = np.array(actions, np.float64)

@@ -55,7 +55,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         n_steps: rewards summed per sample.
         alpha: exponent of the priorities, from 0 (uniform) to 1 (proportional).
         beta: exponent of the importance-sampling correction, from 0 (none) to 1 (full).
-        epsilon: added to every loss, so that no transition is lost for good.
+        epsilon: added to every error, so that no transition is lost for good.
 
     Raises:
         ValueError: for parameters out of range, or a buffer that cannot hold one window per env.

@@ -166,6 +166,12 @@ STILL = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_
             TrajectoryError,
             "configuration 1 of 2, .* is out of reach, or in another assembly mode of the Delta",
         ),
+        (
+            [HOME, [*HOME[:3], -0.638, -0.483, 0.2166]],  # beyond det A = 0 of the 3-RRS
+            {},
+            TrajectoryError,
+            "configuration 1 of 2, .* is in another assembly mode: its joint angles lead to",
+        ),
         ([[0.0] * 6, [0.0] * 5], {}, ArgumentError, "configurations: must be numbers"),
         ([HOME], {}, ArgumentError, "configurations of shape"),
         ([HOME, HOME], {"delta": {"max_joint_jerk": 0.0}}, GeometryError, "max_joint_jerk = 0.0"),

@@ -192,8 +192,8 @@ def test_a_policy_that_is_not_its_runs_is_named(store: Store) -> None:
 def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
     run = learners(store)[0].path
     curve = (run / "curve.csv").read_text("utf-8")
-    head, half = curve.split("\n")[0] + "\n", curve[: len(curve) // 2]
-    curves = (head, half[: half.rindex("\n")], curve.replace("0.5", "a", 1))
+    lines = curve.splitlines(keepends=True)
+    cut = [lines[0], "".join(lines[:-1]), curve[:-1], curve[:-5]]
     for name, text, message in (
         ("meta.json", '{"schema": 99}', "has results schema 99, this version reads 1"),
         ("meta.json", "{", "cannot be read"),
@@ -205,7 +205,8 @@ def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
         ("episodes.csv", "", "cannot be read"),
         ("episodes.csv", "episode,success\n0,1\n", "episodes.csv lacks the column 'noise'"),
         ("curve.csv", "timesteps\n500\n", "curve.csv lacks the column 'episodes'"),
-        *(("curve.csv", text, "does not lead to the training's end, step 500") for text in curves),
+        *(("curve.csv", text, "cut off before the training's end, step 500") for text in cut),
+        ("curve.csv", curve.replace("0.5", "a", 1), "curve.csv holds what is no number"),
     ):
         kept = (run / name).read_bytes()
         (run / name).write_text(text, encoding="utf-8")

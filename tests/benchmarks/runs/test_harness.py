@@ -113,9 +113,9 @@ def test_a_run_of_other_settings_than_another_seeds_is_refused_before_the_start(
     run.begin({**settings, "track": {**settings["track"], "timesteps": 480}})
     run.write_meta({"training": {}})
     words = ["--preset", str(long_preset), "--results", str(tmp_path / "results")]
-    assert "s0 differ in more than their seed (track.timesteps: 480 -> 10000000)" in refused(
-        "run", *words
-    )
+    told = "s0 differ in more than their seed (track.timesteps: 480 -> 10000000)"
+    assert told in refused("run", *words)
+    assert told in refused("train", *words, "--cell", "dqn-optimized-safe-s0")
 
 
 class FakeJob(Job):

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from numpy.testing import assert_equal
 
-from coop_env.errors import ActionError, ArgumentError
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError
 from coop_env.physics.batch import row_of
 from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEnv
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
@@ -176,3 +176,19 @@ def test_depth_beyond_the_required_one_pays_nothing() -> None:
     assert taken[-1]["depth"] > 0.0105
     paid = sum(step["reward_terms"]["depth"] for step in taken)
     assert paid == pytest.approx(1000.0 * 0.02, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [(3, "options = 3: must be a mapping"), ({"configuration": [0, 0, -0.6, 0, 0, 0.22]}, "coll")],
+)
+def test_options_that_cannot_be_taken_leave_the_episodes_as_they_are(
+    options: Any, message: str
+) -> None:
+    vector: Any = gym.make_vec(
+        "CoopInsertionPhysics-v0", 2, vectorization_mode="vector_entry_point"
+    )
+    vector.reset(seed=0)
+    with pytest.raises(ResetOptionError, match=message):
+        vector.reset(options=options)
+    vector.step(vector.action_space.sample())

@@ -108,12 +108,13 @@ def test_a_start_in_which_the_twins_bodies_overlap_is_refused(env_class: Any, kn
     """The kinematic model, whose platform has spokes, allows it."""
     env = env_class(sim_to_real=knobs)
     env.reset(seed=0)
-    start = [-0.069, -0.058, -0.491, -0.346, 0.543, 0.23]
+    start, before = [-0.069, -0.058, -0.491, -0.346, 0.543, 0.23], env.configuration
     assert CoopInsertionEnv().configuration_status(start) == 0
     with pytest.raises(ResetOptionError, match=r"'platform_disc' and 'peg' .* overlap there"):
         env.reset(options={"configuration": start})
-    with pytest.raises(ResetNeeded):
-        env.step(env.action_space.sample())
-    start[2] += 0.05
-    env.reset(options={"configuration": start})
+    np.testing.assert_array_equal(env.configuration, before)  # the episode goes on
     env.step(env.action_space.sample())
+    start[2] += 0.02
+    env.reset(options={"configuration": start, "error": [0.0] * 4})
+    with pytest.raises(ResetOptionError, match=r"overlap there"):
+        env.reset(options={"configuration": start, "error": [0.0, 0.0, 0.1, 0.1]})
