@@ -62,6 +62,7 @@ def test_the_bare_line_passes_sb3s_own_threshold_on_its_bandit() -> None:
     assert np.mean(mean) > 90
 
 
+@pytest.mark.slow
 def test_the_defaults_learn_sb3s_bit_flipping_with_hindsight() -> None:
     model = Rainbow(
         "MultiInputPolicy",

@@ -150,6 +150,7 @@ def test_a_plan_into_a_singularity_ends_there(planner: RRTConnect) -> None:
     assert "singularity" in causes
 
 
+@pytest.mark.slow
 def test_a_seed_repeats_its_plans_from_process_to_process() -> None:
     code = (
         "from benchmarks.methods.rrt_connect import RRTConnect;"

@@ -39,6 +39,7 @@ def long_preset(tmp_path: Path) -> Path:
     return smoke_file(tmp_path, "long", track={"timesteps": 10_000_000}, runs=runs)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(

@@ -18,6 +18,7 @@ from tests.process import ROOT
 MODEL = ROOT / "results" / trajectory.MODEL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["--blend"], ["--model", str(MODEL)]])
 def test_one_episode_is_exported(words: list[str], tmp_path: Path, done: Command) -> None:
     folder = tmp_path / "episode"

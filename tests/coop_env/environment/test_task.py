@@ -78,6 +78,7 @@ def test_any_number_of_holes() -> None:
     assert env.scene().status == "success"
 
 
+@pytest.mark.slow
 def test_entering_the_last_of_many_holes_once_more_is_a_duplicate() -> None:
     env = CoopInsertionEnv(task={"holes": [*([1.2, 0.6 * k] for k in range(8)), [0.0, 0.0]]})
     for filled in (8, 0):

@@ -65,11 +65,11 @@ def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> Non
         run.begin(settings(atari, cell))
         run.write_rows("episodes", kept)
         run.write_rows("curve", [{"timesteps": 0, "return_mean": 1.0}])
-        run.write_meta({"cell": cell.id, "training": {}})
+        run.write_meta({"cell": cell.id, "training": {"timesteps": 0}})
     few, other = SuiteResults(atari, store).problems()
     assert "has 1 rows, not one for each of the 2 test episodes" in few
     assert "other than the test seeds" in other
-    run.write_meta({"cell": "another", "training": {}})
+    run.write_meta({"cell": "another", "training": {"timesteps": 0}})
     assert f"{run.path}: meta.json is of the run 'another'" in SuiteResults(atari, store).problems()
     text = (run.path / "config.yaml").read_text().replace("gamma: 0.99", "gamma: 0.5")
     (run.path / "config.yaml").write_text(text)
