@@ -52,7 +52,7 @@ lint: $(STAMP) ## ruff
 	@$(BIN)/ruff format --check --quiet . || { echo "run: make format"; exit 1; }
 
 type: $(STAMP) ## mypy
-	@$(BIN)/mypy
+	@$(BIN)/mypy -n 2
 
 format: $(STAMP) ## Rewrite the sources in the house's form
 	@$(BIN)/ruff check --fix --quiet .
