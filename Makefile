@@ -6,6 +6,7 @@ PYTHON ?= python3
 VENV ?= .venv
 PIP_FLAGS ?=
 PRESET ?= quick
+SLOW ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt
@@ -13,7 +14,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: help env results test pytest slow examples lint type format docs figures dist clean
+.PHONY: help env results test pytest examples lint type format docs figures dist clean
 .DEFAULT_GOAL := help
 
 help: ## Say what there is
@@ -33,16 +34,12 @@ $(STAMP): constraints.txt setup.cfg pyproject.toml
 results: $(STAMP) ## Train, plan, compare, print the tables (PRESET=quick)
 	@$(BIN)/python -m benchmarks run --preset $(PRESET)
 
-test: lint type pytest ## Lint, types, all tests but the slow ones
+test: lint type pytest ## Lint, types, tests (SLOW=1: also those of over ten seconds each, as in CI)
 
 # The exact figures and the kernels that the tests ask for are those of the CPU, on a machine with a GPU too.
-PYTEST := CUDA_VISIBLE_DEVICES= $(BIN)/python -m pytest -q -n auto --dist loadfile --max-worker-restart 0
-
-pytest: $(STAMP) ## Tests alone, without the slow ones
-	@$(PYTEST) -m "not slow"
-
-slow: $(STAMP) ## Tests of more than ten seconds each, which .ci/run runs too
-	@$(PYTEST) -m slow
+pytest: $(STAMP) ## Tests alone
+	@CUDA_VISIBLE_DEVICES= $(BIN)/python -m pytest -q -n auto --dist loadfile --max-worker-restart 0 \
+	  $(if $(SLOW),,-m "not slow")
 
 examples: $(STAMP) ## Every block of README and docs whole, its score as the page prints it: half an hour, weekly
 	WHOLE=1 $(BIN)/python -m pytest -q tests/test_docs.py -k blocks --timeout 7200
