@@ -71,7 +71,7 @@ def run(given: Given) -> int:
     with store.lock(), closing(_backend(given)) as backend:
         console.print(f"{backend.describe()}, networks on {device}", markup=False)
         outcome = Harness(one, store, backend, console, device).run()
-        return outcome.close(store, console, lambda: one.report(store, console))
+        return outcome.close(store, console, lambda: _write(one, "report", store, console))
 
 
 def _device(given: Given, gpus_per_run: float = 0.0) -> str:
@@ -151,11 +151,21 @@ def evaluate(given: Given) -> int:
     return score_again(Replay(given.preset, given.results, given.episodes, given.starts), console)
 
 
+def _write(one: Experiment, method: str, store: Store, console: Console) -> None:
+    try:
+        getattr(one, method)(store, console)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        # perhaps of a file that can be read, and holds what it must not
+        if problems := catalogue.named(store.folder, lambda: one.problems(store)):
+            raise BenchmarkError(problems[0]) from error
+        raise
+
+
 def _of_stored(method: str) -> Callable[[Given], None]:
     def command(given: Given) -> None:
         one, store = _open(given)
         with store.lock():
-            getattr(one, method)(store, Console(soft_wrap=True))
+            _write(one, method, store, Console(soft_wrap=True))
 
     return command
 

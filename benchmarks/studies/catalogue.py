@@ -118,6 +118,16 @@ def _of_store(one: Experiment, results: Path) -> list[str]:
     return one.problems(store) or check_tables(store.tables, one.tables(store))
 
 
+def named(path: Path, check: Callable[[], list[str]]) -> list[str]:
+    """What ``check`` finds below ``path``; an error of its own becomes a sentence too."""
+    try:
+        return check()
+    except BenchmarkError as error:  # a damaged file ends its check, the others go on
+        return [str(error)]
+    except Exception as error:  # whatever comes of what may stand in a file
+        return [f"{path}: a file cannot be read ({type(error).__name__}: {error})"]
+
+
 def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Check the stores of ``presets`` (all under ``results`` if none is named), studies and pages.
 
@@ -144,13 +154,7 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
         checks.append((what, file, partial(of.problems, results)))
     for what, path, check in checks:
         yield what, []
-        try:
-            problems = check()
-        except BenchmarkError as error:  # a damaged file ends its check, the others go on
-            problems = [str(error)]
-        except Exception as error:  # whatever comes of what may stand in a file
-            problems = [f"{path}: a file cannot be read ({type(error).__name__}: {error})"]
-        if problems:
+        if problems := named(path, check):
             yield "", problems
             found = True
     if presets:

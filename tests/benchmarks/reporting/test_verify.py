@@ -258,6 +258,8 @@ def test_a_damaged_file_is_a_line_and_the_rest_is_checked(
         assert len([line for line in err.splitlines() if line.startswith(str(path))]) == 1, err
     assert "Study transfer: its text against its data" in out
     assert "Pages: not looked at until these differences are mended" in out
+    assert main([*words(copy, "tables"), "--preset", "quick"]) == 2
+    assert f"error: {run.path}: a value of its files is no value" in capsys.readouterr().err
 
 
 def test_a_store_of_a_preset_of_ones_own_is_named(copy: Path, done: Command) -> None:
