@@ -122,7 +122,10 @@ def set_weights(model: BaseAlgorithm, path: Path) -> None:
         raise BenchmarkError(
             f"{path} holds something else than arrays, or is damaged: nothing of it was run"
         ) from error
-    model.set_parameters({"policy": parameters["policy"]}, exact_match=False)
+    arrays: Any = parameters["policy"]
+    if odd := arrays.keys() ^ model.policy.state_dict().keys():
+        raise KeyError(f"the networks differ in {min(odd)}")
+    model.set_parameters({"policy": arrays}, exact_match=False)  # without an optimizer
 
 
 def load_model(path: Path, algorithm: str | None = None, trust: bool = False) -> Any:

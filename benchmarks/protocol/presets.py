@@ -87,6 +87,7 @@ def _arguments_of(kind: type[Any]) -> AfterValidator:
     """Whether a class of the environment's takes these arguments, or what it says of them."""
 
     def check(given: dict[str, Any] | None) -> dict[str, Any] | None:
+        given = _numbers(given)
         try:
             kind(**(given or {}))
         except TypeError as error:

@@ -105,6 +105,5 @@ def _pairs(results: Results) -> Iterator[tuple[str, Group, Group | None]]:
                 yield Question.GREEDILY, without, full
     initial = results.group("rainbow", track, "initial")
     yield Question.GEOMETRY, initial.as_trained(), full.as_trained()
-    script = results.best_script()
     for row in complete(results.rows(LEARNERS, uncertain=True)):
-        yield Question.SCRIPT, row, script
+        yield Question.SCRIPT, row, results.best_script(row)

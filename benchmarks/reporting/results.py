@@ -266,14 +266,15 @@ class Results:
             mine[0].folder.check_alike(folder.id, run.config)
             if "track" in run.config:  # what was run counts, not what the preset says today
                 self.settings[cell["track"]] = run.config["track"]
+        runs |= {key: [] for key in planned if key not in runs}
         self.groups = {
             key: Group(
                 *key,
-                settings=self.settings.get(key[3]),
-                runs=tuple(sorted(runs.get(key, []), key=attrgetter("seed"))),
+                settings=mine[0].config.get("track") if mine else self.settings.get(key[3]),
+                runs=tuple(sorted(mine, key=attrgetter("seed"))),
                 planned=planned[key],
             )
-            for key in {**runs, **planned}
+            for key, mine in runs.items()
         }
 
     def group(
@@ -325,21 +326,22 @@ class Results:
 
     def control_of(self, row: Group, geometry: str = "optimized") -> Group | None:
         """The best control with a learner's masks, memory, task and way of acting, or None."""
-        result = self.rows(CONTROLS, self.uncertain(row.track), geometry)
-        alike = [each for each in result if each.knows == row.knows and _world(each) == _world(row)]
+        result = _alike(row, self.rows(CONTROLS, self.uncertain(row.track), geometry))
+        alike = [each for each in result if each.knows == row.knows]
         return best(each.as_trained() if row.level == AS_TRAINED else each for each in alike)
 
-    def best_script(self) -> Group | None:
-        """Of the uncertain machine: the best that neither learns nor knows the machine."""
+    def best_script(self, row: Group) -> Group | None:
+        """The best that neither learns nor knows the uncertain machine of a row, or None."""
         scripts = [m for m in METHODS if m not in LEARNERS and m != "optimum"]
-        return best(self.rows(scripts, uncertain=True))
+        return best(_alike(row, self.rows(scripts, uncertain=True)))
 
     def references(self, track: str) -> list[Group]:
         """What bounds a track's learners: the best control that knows as much, and the optimum."""
-        control = self.control_of(self.group("rainbow", track).as_trained())
+        row = self.group("rainbow", track)
+        control = self.control_of(row.as_trained())
         optima = [self.group("optimum")]
         if self.uncertain(track):
-            known = complete(self.rows(("optimum",), uncertain=True))[:1]
+            known = complete(_alike(row, self.rows(("optimum",), uncertain=True)))[:1]
             optima = [replace(optimum, track=track) for optimum in known]
         return complete([*([control] if control else []), *optima])
 
@@ -366,6 +368,11 @@ def _world(row: Group) -> list[Any]:
     """What decides a track's task besides its masks: the end of episodes, the machine, the dome."""
     defaults = {"collision": "refuse", "sim_to_real": None, "task": None, "shield": None}
     return [(row.settings or {}).get(name, default) for name, default in defaults.items()]
+
+
+def _alike(row: Group, among: Iterable[Group]) -> list[Group]:
+    """Those that have a row's task."""
+    return [each for each in among if _world(each) == _world(row)]
 
 
 def _planned(store: Store) -> tuple[Counter[Key], dict[str, dict[str, Any]]]:

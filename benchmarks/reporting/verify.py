@@ -79,7 +79,8 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
     name, wanted = _levels(result, cell)
     column = rows[name] if name in rows else pd.Series([], dtype=float)
     stored = sorted(column.astype(float).unique().tolist())
-    if stored != sorted(wanted):
+    # as episodes.csv holds a number
+    if stored != sorted(float(f"{value:.7g}") for value in wanted):
         problems.append(f"episodes.csv has {name} {stored}, not {wanted}")
     acting = {acting for _, _, acting in result.levels}
     brought = "entry" in result.config

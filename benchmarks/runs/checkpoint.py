@@ -188,7 +188,7 @@ def _is_passing(error: Exception) -> bool:
     """Whether it speaks of the machine's state and not of the file."""
     if isinstance(error, OSError):
         return error.errno in PASSING
-    return isinstance(error, torch.OutOfMemoryError)
+    return isinstance(error, (MemoryError, torch.OutOfMemoryError))
 
 
 def load_newest(

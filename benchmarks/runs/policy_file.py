@@ -21,6 +21,7 @@ _UNUSED: Final = (
     *("q_net_target.", "quantile_net_target.", "mlp_extractor.value_net.", "value_net."),
     *("critic.", "critic_target.", "actor_target."),
 )
+_KNOWN: Final = ("sb3_rainbow.", "stable_baselines3.", "sb3_contrib.", "benchmarks.")
 _DRAWN: Final = (".epsilon_in", ".epsilon_out")
 
 
@@ -35,11 +36,13 @@ def digest(model: Any) -> str:
 
 def reduce_to_acting(model: Any) -> None:
     """Leave of the model, in place, what acting needs, in half precision's steps."""
+    # a policy of a user's own may act by a part of such a name
+    known = type(model.policy).__module__.startswith(_KNOWN)
     with torch.no_grad():
         for name, value in model.policy.state_dict().items():
             if not value.is_floating_point():
                 continue
-            if name.startswith(_UNUSED) or name.endswith(_DRAWN):
+            if (known and name.startswith(_UNUSED)) or name.endswith(_DRAWN):
                 value.zero_()
             elif value.abs().max() < torch.finfo(torch.float16).max:
                 value.copy_(value.half())

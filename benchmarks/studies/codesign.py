@@ -170,11 +170,14 @@ def score(name: str, study: str, geometry: RRSGeometry, starts: int) -> dict[str
 
 def search(
     folder: Path, study: str, floor: float, designs: int, starts: int, tick: Tick
-) -> tuple[list[dict[str, Any]], dict[str, int]]:
-    """NSGA-II until so many designs have a score: their rows, and how many had none, by reason.
+) -> tuple[list[dict[str, Any]], dict[str, int], float]:
+    """NSGA-II until so many designs have a score.
 
     The journal is on disk: a call that was killed goes on as if it had not been. A design below
     ``floor``, %, ranks below all others: one that only reaches the nearest targets looks quick.
+
+    Returns:
+        Their rows; how many designs had none, by reason; and the CPU seconds of the scores.
     """
     import optuna
     from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
@@ -191,24 +194,25 @@ def search(
     )
     space: Any = {n: optuna.distributions.FloatDistribution(*BOUNDS[n]) for n in STUDIES[study]}
     for left in run.get_trials(states=(TrialState.RUNNING,)):
-        run.tell(left.number, state=TrialState.FAIL)
-        run.enqueue_trial(left.params)  # takes the place of the one that was cut off
+        run.tell(left.number, state=TrialState.FAIL)  # its design is proposed again
     while True:
-        rows = [t.user_attrs["row"] for t in run.get_trials(states=(TrialState.COMPLETE,))]
+        scored = [trial.user_attrs for trial in run.get_trials(states=(TrialState.COMPLETE,))]
+        rows = [of["row"] for of in scored]
         skipped = dict(Counter(run.user_attrs.values()))
         if len(rows) >= designs:
-            return rows, skipped
+            return rows, skipped, sum(of.get("seconds", 0.0) for of in scored)
         tick(len(rows) / designs)
         number = len(rows) + sum(skipped.values())
         # of its own for each: what is proposed depends on the designs before it alone
         run.sampler = optuna.samplers.NSGAIISampler(population_size=POPULATION, seed=number)
-        trial = run.ask(space)
+        trial, began = run.ask(space), time.process_time()
         try:
             row = score(f"{study}-{number}", study, build(rounded(trial.params)), starts)
         except Unbuilt as error:
             run.set_user_attr(str(trial.number), str(error))
             run.tell(trial, state=TrialState.FAIL)
             continue
+        trial.set_user_attr("seconds", time.process_time() - began)
         trial.set_user_attr("row", row)
         trial.set_constraint("floor", floor - row["success"])
         run.tell(trial, (row["success"], row["ticks"] if row["success"] > 0.0 else float(MOST)))
@@ -237,7 +241,7 @@ class Codesign(Study):
         self.run_folder.begin({"geometry": BASE, "bounds": [], **self.asked})
         self.rows: list[dict[str, Any]] = []
         self.studies: dict[str, Any] = {}
-        self.began = time.process_time()
+        self.seconds = 0.0  # of the scores, over all calls
 
     def parts(self) -> dict[str, Part]:
         if (self.folder / "codesign.json").is_file():
@@ -257,7 +261,8 @@ class Codesign(Study):
 
     def _search(self, study: str, tick: Tick) -> None:
         size = (self.asked["designs"], self.asked["starts"])
-        rows, skipped = search(self.folder, study, self.floor, *size, tick)
+        rows, skipped, seconds = search(self.folder, study, self.floor, *size, tick)
+        self.seconds += seconds
         self.rows += rows
         bounds = {name: BOUNDS[name] for name in STUDIES[study]}
         self.studies[study] = {"skipped": skipped, "bounds": bounds}
@@ -268,7 +273,7 @@ class Codesign(Study):
             record = {
                 "command": self.given.command,
                 "machine": describe(),
-                "cpu_seconds": time.process_time() - self.began,
+                "cpu_seconds": self.seconds,
                 "floor": self.floor,
                 "most": MOST,
                 "base": BASE,

@@ -130,8 +130,8 @@ def to_markdown(result: SearchResult) -> str:
     spent = summary["cpu_seconds"] + sum(float(run.meta()["cpu_seconds"]) for run in runs)
     parts = [table(result).markdown().strip() for table in (_searched, _designs)]
     parts += [
-        f"{result.asked['starts']} validation starts for each "
-        f"design, the same seeds for all; {spent / 60.0:.0f} core-minutes in all on "
+        f"{result.asked['starts']} validation starts for each design, the same seeds for all; "
+        f"{spent / 60.0:.0f} core-minutes of searches and trainings on "
         f"{machine['machine']['processor']}, begun at commit {machine['commit'][:9]}.",
         "![Fronts, chosen designs, and success by area](../results/codesign/figures/fronts.png)",
     ]

@@ -98,6 +98,11 @@ class Failures(Study):
             raise BenchmarkError(
                 f"unknown track '{self.track}'; known: {known(self.preset.tracks)}"
             )
+        if self.preset.tracks[self.track].team:
+            raise BenchmarkError(
+                f"track '{self.track}': the robots move at once; failures are of those that take "
+                "turns"
+            )
         wanted = Cell(given.method, "full", "optimized", self.track, 0)
         alike = (cell for cell in expand(self.preset) if replace(cell, seed=0) == wanted)
         self.cells = sorted(cell for cell in alike if self.store.run(cell.id).has_policy())

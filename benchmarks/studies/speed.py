@@ -13,6 +13,7 @@ time of the process in the median round.
 
 import argparse
 import importlib
+import math
 import os
 import statistics
 import time
@@ -103,21 +104,19 @@ def options(steps: int, rounds: int) -> dict[str, Option]:
 
 def measure_steps(steps: int, rounds: int, _: Tick) -> dict[str, float]:
     """Microseconds a step, median over rounds in turns."""
-
-    def actions(*of: int) -> NDArray[np.int64]:
-        size = (max(1, steps // of[0]), *of) if of else steps
-        return np.random.default_rng(0).integers(N_ACTIONS, size=size)
-
-    dummies = DummyVecEnv([CoopInsertionEnv] * 64)
-    loops = {
-        SINGLE: stepping(gym.make("CoopInsertion-v0"), actions(), masks=True),
-        "single, without Gymnasium's wrappers": stepping(CoopInsertionEnv(), actions(), masks=True),
-        "SB3 DummyVecEnv of 64": stepping(dummies, actions(64), masks=True),
+    envs: dict[str, Any] = {
+        SINGLE: gym.make("CoopInsertion-v0"),
+        "single, without Gymnasium's wrappers": CoopInsertionEnv(),
+        "SB3 DummyVecEnv of 64": DummyVecEnv([CoopInsertionEnv] * 64),
+        **{f"batch of {n}": CoopInsertionVecEnv(n, seed=0) for n in (1, 8, 64, 256)},
     }
-    for n in (1, 8, 64, 256):
-        batch = CoopInsertionVecEnv(n, seed=0)
-        loops[f"batch of {n}"] = stepping(batch, actions(n), masks=True)
-    return {name: 1e6 * each / steps for name, each in in_turns(loops, rounds).items()}
+    loops, made = {}, {}
+    for name, env in envs.items():
+        width = [env.num_envs] if hasattr(env, "num_envs") else []
+        size = (max(1, steps // math.prod(width)), *width)
+        actions = np.random.default_rng(0).integers(N_ACTIONS, size=size)
+        loops[name], made[name] = stepping(env, actions, masks=True), actions.size
+    return {name: 1e6 * each / made[name] for name, each in in_turns(loops, rounds).items()}
 
 
 def measure_oracle(starts: int, geometry: str, _: Tick) -> dict[str, float]:

@@ -148,10 +148,11 @@ def _robustness(results: Results, noisy: list[Group]) -> Figure:
 
 def _errors(results: Results) -> Figure:
     figure, (axes,) = style.canvas(size=(7.0, 5.2))
-    best, others = results.best_script(), "other scripts and planners"
-    for group in complete(results.rows(uncertain=True)):
+    rows, others = complete(results.rows(uncertain=True)), "other scripts and planners"
+    best = [results.best_script(row) for row in rows]
+    for group in rows:
         look: dict[str, Any] = {}
-        if group.method not in (*LEARNERS, "rrt_connect", "optimum") and group != best:
+        if group.method not in (*LEARNERS, "rrt_connect", "optimum") and group not in best:
             look = {"color": style.PALETTE[-1], "label": others, "zorder": 1}
             others = "_"  # once in the legend
         _success_over(axes, group, {x: Level(error=x) for x in error_levels(results)}, **look)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.learners import learner_of
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import SuitePreset
@@ -22,6 +23,16 @@ class Classic(Experiment[SuitePreset]):
         from benchmarks.studies.classic.train import build_model
 
         return build_model(self.preset.tasks[cell.track], cell.method, cell.seed)
+
+    def try_script(self, cell: Cell) -> None:
+        from benchmarks.studies.classic.train import make_env
+
+        env = make_env(task := self.preset.tasks[cell.track])
+        env.close()
+        if not hasattr(env.action_space, "n"):
+            raise BenchmarkError(
+                f"{task.env} has actions {env.action_space}: controls play those with numbers"
+            )
 
     def kind(self, config: dict[str, Any]) -> tuple[str, ...]:
         task, method, env = config["cell"]["task"], config["cell"]["method"], config["task"]["env"]

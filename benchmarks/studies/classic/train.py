@@ -13,6 +13,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.methods.learners import build_on, class_on
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
@@ -106,7 +107,12 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
 
     images = task.policy == "CnnPolicy"
     network = {"features_extractor_class": extractor_of(task.env)} if images else {}
-    return build_on(task, method, seed, DummyVecEnv([make_one] * task.n_envs), network)
+    model = build_on(task, method, seed, DummyVecEnv([make_one] * task.n_envs), network)
+    if not isinstance(model.get_env(), DummyVecEnv):  # SB3 has turned the images
+        raise BenchmarkError(
+            f"{task.env}: its images have their channels last; wrap it so that they come first"
+        )
+    return model
 
 
 class Tester(Recorder):

@@ -7,7 +7,6 @@ and takes its place in the leaderboard. It never mixes with the preset's own cel
 import argparse
 import dataclasses
 import hashlib
-import inspect
 import re
 import shutil
 import time
@@ -36,6 +35,7 @@ from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.runs.cell import run_once
 from benchmarks.runs.harness import bar
 from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.base import source_digest
 from benchmarks.studies.scoring.scores import in_words
 from coop_env.simulation.task import TRAIL
 
@@ -59,12 +59,14 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
     files = given.model if len(given.model) > 1 else given.model * number
     loaded = {path: load_model(path, given.algorithm, given.trust) for path in given.model}
     masks = {name: getattr(given, name) for name in ("mask_singularities", "mask_visited")}
+    own = ":" in given.planner
 
     def scorer(seed: int, path: Path | None) -> Scorer:
         cell = Cell(given.name, "full", GEOMETRY, "", seed)
         if path is None:
             player, noise = evaluate.in_turn(_planner(preset, given.planner, seed)), [0.0]
-            source = {"algorithm": given.planner, "sha256": "", **_source(given.planner)}
+            edited = source_digest(resolve(given.planner, "planner")) if own else {}
+            source = {"algorithm": given.planner, "sha256": "", **edited}
             protocol = dict(masks)
         else:
             player = evaluate.by_policy(evaluate.model_policy(loaded[path]), seed)
@@ -93,14 +95,14 @@ def score(preset: Preset, given: Given, console: Console) -> None:
         replacing, old = store.folder / "replacing", []
         shutil.rmtree(replacing, ignore_errors=True)
         todo = [(RunFolder(store.entries / Cell(**c["cell"]).id), c, run) for c, run in scorers]
+        ids = {folder.id for folder, *_ in todo}
+        mine = (run for run in store.entered() if run.config()["cell"]["method"] == given.name)
+        # of a seed that the preset no longer has
+        old += [_given_up(run, given) for run in mine if run.id not in ids]
         for folder, config, _ in todo:
             if (folder.path / "config.yaml").is_file() and folder.config() != config:
-                if folder.is_complete() and not given.replace:  # what failed holds no name
-                    raise BenchmarkError(
-                        f"'{given.name}' is already on the board with another model or protocol "
-                        f"({folder.path}); choose another --name, or --replace it"
-                    )
-                old.append(folder.path)
+                # what failed holds no name
+                old.append(_given_up(folder, given) if folder.is_complete() else folder.path)
         if complete := sum(folder.is_complete() and folder.path not in old for folder, *_ in todo):
             console.print(f"{complete} of {len(todo)} seeds were scored already")
         with bar(console) as progress:
@@ -109,7 +111,8 @@ def score(preset: Preset, given: Given, console: Console) -> None:
                 _score(here, config, run, preset.name, progress)
         for path in old:  # gives way once all seeds of the new one have played
             shutil.rmtree(path)
-            (replacing / path.name).rename(path)
+            if path.name in ids:
+                (replacing / path.name).rename(path)
         shutil.rmtree(replacing, ignore_errors=True)
         built = {table.name: table for table in build_tables(Results(store))}
         for table in built.values():
@@ -117,6 +120,16 @@ def score(preset: Preset, given: Given, console: Console) -> None:
     console.print(built["leaderboard"].markdown(), markup=False, highlight=False)
     console.print(f"Episodes: {', '.join(str(folder.path) for folder, *_ in todo)}")
     console.print(f"Leaderboard (CSV, Markdown, LaTeX): {store.tables / 'leaderboard.md'}")
+
+
+def _given_up(folder: RunFolder, given: Given) -> Path:
+    """The path of an entry that is to be replaced; BenchmarkError where that was not asked for."""
+    if not given.replace:
+        raise BenchmarkError(
+            f"'{given.name}' is already on the board with another model, protocol or seed "
+            f"({folder.path}); choose another --name, or --replace it"
+        )
+    return folder.path
 
 
 def _score(
@@ -183,17 +196,6 @@ def _planner(preset: Preset, planner: str, seed: int) -> Callable[[Episode], Non
         raise BenchmarkError(f"planner '{planner}' is no function but {kind}")
     ask = checked(function, planner)
     return lambda episode: evaluate.follow(episode, ask)
-
-
-def _source(planner: str) -> dict[str, str]:
-    """The digest of the file of a planner of one's own, whose edits make another entry."""
-    if ":" not in planner:
-        return {}
-    try:
-        source = inspect.getsourcefile(resolve(planner, "planner"))
-        return {"source_sha256": hashlib.sha256(Path(str(source)).read_bytes()).hexdigest()}
-    except (OSError, TypeError):  # made in memory
-        return {}
 
 
 def checked(plan: Callable[[Any], Any], name: str) -> Callable[[Any], Plan]:

@@ -111,7 +111,12 @@ def test_a_stored_policy_that_holds_a_pickle_is_one_error_without_torchs_advice(
 def test_a_policy_beside_other_settings_is_one_error(tmp_path: Path) -> None:
     shutil.copy(POLICIES[0], tmp_path / "policy.zip")
     text = POLICIES[0].with_name("config.yaml").read_text("utf-8")
-    changes = ("- 128", "- 127"), ("alpha: 0.6", "alpha: much"), ("cell:", "cells:")
+    changes = (
+        ("ablation: full", "ablation: none"),
+        ("- 128", "- 127"),
+        ("alpha: 0.6", "alpha: much"),
+        ("cell:", "cells:"),
+    )
     for old, new in (*changes, ("method: rainbow", "method: {}")):
         (tmp_path / "config.yaml").write_text(text.replace(old, new), "utf-8")
         with pytest.raises(BenchmarkError):

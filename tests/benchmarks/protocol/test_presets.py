@@ -100,7 +100,10 @@ def test_an_impossible_value_is_refused(change: dict[str, Any], word: str) -> No
 
 
 def test_a_number_that_yaml_reads_as_text_is_one_among_arguments_too() -> None:
-    preset = smoke_preset(**safe(methods={"dqn": {"tau": "5e-3", "policy": "MlpPolicy"}}))
+    changes = {"methods": {"dqn": {"tau": "5e-3", "policy": "MlpPolicy"}}}
+    machine = {"base_position_error": "3e-3"}
+    preset = smoke_preset(**safe(**changes, sim_to_real=machine))
+    assert preset.tracks["safe"].sim_to_real == {"base_position_error": 0.003}
     assert preset.tracks["safe"].methods["dqn"] == {"tau": 0.005, "policy": "MlpPolicy"}
 
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
 from benchmarks.protocol.paper_values import ABLATION
-from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.plan import CONTROLS, Cell
 from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.compared import Question, comparisons
 from benchmarks.reporting.figures.learning import pictures
@@ -140,6 +140,33 @@ def test_the_uncertain_machine_has_a_table_of_its_own(tmp_path: Path) -> None:
     assert [row[0] for row in table.texts()][-1] == "Exact optimum, uncertain"
     assert "up to 3 mm" in " ".join(table.notes)
     assert not any("uncertain" in row[1] for row in board.texts())
+
+
+def test_what_a_run_was_run_with_counts_not_what_another_of_its_track_was(tmp_path: Path) -> None:
+    def change(run: str, old: str, new: str) -> Results:
+        path = store.run(run).path / "config.yaml"
+        text = path.read_text("utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new), "utf-8")
+        return Results(store)
+
+    store = fabricated_store.make_store(tmp_path, [0], "cut")
+    before = Results(store)
+    for name in [*CONTROLS]:
+        after = change(f"{name}-optimized-safe-s0", "mask_visited: 0", "mask_visited: 7")
+        assert before.group(name, "safe").knows.memory != "7 configurations"
+        assert after.group(name, "safe").knows.memory == "7 configurations"
+    row = before.group("rainbow", "safe")
+    assert before.control_of(row) is not None
+    assert after.control_of(row) is None
+    row = before.group("rainbow", "uncertain")
+    assert before.best_script(row) is not None
+    assert [each.method for each in before.references("uncertain")][-1] == "optimum"
+    own = "base_position_error: 0.003"
+    after = change("rainbow-optimized-uncertain-s0", own, "base_position_error: 0.006")
+    row = after.group("rainbow", "uncertain")
+    assert after.best_script(row) is None
+    assert "optimum" not in [each.method for each in after.references("uncertain")]
 
 
 def test_each_comparison_has_the_p_of_its_own_differences(full: Store, tmp_path: Path) -> None:

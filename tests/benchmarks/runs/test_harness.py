@@ -119,6 +119,22 @@ def test_a_run_of_other_settings_than_another_seeds_is_refused_before_the_start(
     assert told in refused("train", *words, "--cell", "dqn-optimized-safe-s0")
 
 
+@pytest.mark.usefixtures("forked")
+def test_a_preset_that_was_edited_meanwhile_is_not_run_under_its_old_name(tmp_path: Path) -> None:
+    runs = [{"methods": ["greedy"], "tracks": ["safe"]}]
+
+    class Editing(Backend):
+        def start(self, argv: Sequence[str], folder: RunFolder) -> Job:
+            smoke_file(tmp_path, "odd", track={"mask_visited": 5}, runs=runs)
+            return super().start(argv, folder)
+
+    one = Insertion(str(smoke_file(tmp_path, "odd", track={"mask_visited": 3}, runs=runs)))
+    store = one.open_store(tmp_path / "results", create=True)
+    outcome = Harness(one, store, Editing(1), Console(file=io.StringIO())).run()
+    assert [*outcome.failed] == ["greedy-optimized-safe-s0"]
+    assert "track.mask_visited: 3 -> 5" in store.run(*outcome.failed).log.read_text("utf-8")
+
+
 class FakeJob(Job):
     """A run whose progress the test writes; its note "deleted" leaves no folder of it."""
 

@@ -1,6 +1,8 @@
 """The final policy's file: small, SB3's own form, and exactly what was tested."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -71,3 +73,12 @@ def test_half_precision_moves_no_weight_further_than_its_last_bit(
             torch.testing.assert_close(value, before[name], rtol=2**-11, atol=2**-24)
             compared += 1
     assert compared >= 2
+
+
+def test_a_policy_of_ones_own_may_act_by_a_part_of_any_name() -> None:
+    policy: Any = torch.nn.Module()
+    policy.critic = torch.nn.Linear(3, 2)
+    policy.critic.weight.data.fill_(1.0 / 3.0)
+    model = SimpleNamespace(policy=policy, _get_torch_save_params=lambda: ([], []))
+    policy_file.reduce_to_acting(model)
+    torch.testing.assert_close(policy.critic.weight, torch.full((2, 3), 1.0 / 3.0).half().float())

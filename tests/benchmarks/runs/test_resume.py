@@ -107,7 +107,10 @@ def test_stopping_where_it_resumed_keeps_the_checkpoint_as_it_is(
 
 @pytest.mark.parametrize(
     "error",
-    [OSError(errno.ESTALE, "Stale file handle"), torch.OutOfMemoryError("CUDA out of memory")],
+    [
+        OSError(errno.ESTALE, "Stale file handle"),
+        *(MemoryError("Unable to allocate"), torch.OutOfMemoryError("CUDA out of memory")),
+    ],
 )
 def test_a_machine_in_trouble_damages_no_checkpoint(
     error: Exception, preset: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,7 +1,9 @@
 """``python -m benchmarks study codesign``: searches, goes on, chooses, can be checked."""
 
 import math
+from contextlib import suppress
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -85,6 +87,32 @@ def test_a_rank_correlation_has_an_interval_about_it() -> None:
     assert result.high - result.low == pytest.approx(4 * 0.75 / math.sqrt(80), rel=0.5)
     assert report.rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
     assert report.rank_correlation(x, np.ones(80)).n == 0
+
+
+def test_a_search_that_was_cut_off_is_the_one_that_was_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def score(name: str, study: str, values: dict[str, float], starts: int) -> dict[str, Any]:
+        if values["lambda1"] > 1.7:
+            raise codesign.Unbuilt("home")
+        success, ticks = 100.0 * math.sin(values["lambda1"]), 10.0 * values["lambda2"]
+        return {"design": name, **values, "success": success, "ticks": ticks}
+
+    def rows(folder: str, *cuts: int) -> Any:
+        (tmp_path / folder).mkdir()
+        for end in (*cuts, None):
+            left = [] if end is None else [*end * [mock.DEFAULT], KeyboardInterrupt]
+            spy = mock.Mock(wraps=score, side_effect=left or None)
+            monkeypatch.setattr(codesign, "score", spy)
+            with suppress(KeyboardInterrupt):
+                return codesign.search(
+                    tmp_path / folder, "lambdas", 70.0, 20, 1, lambda share: None
+                )[:2]
+        raise AssertionError("cut off")
+
+    monkeypatch.setattr(codesign, "POPULATION", 4)
+    monkeypatch.setattr(codesign, "build", lambda values: values)
+    assert rows("cut", 2, 5, 3) == rows("whole")
 
 
 @pytest.mark.slow

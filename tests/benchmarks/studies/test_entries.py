@@ -288,6 +288,21 @@ def test_a_planner_that_was_edited_is_another_one(
     done(*words, "--replace")
 
 
+def test_an_entry_of_a_seed_that_is_gone_is_replaced_too(
+    planners: Path, done: Command, refused: Command
+) -> None:
+    def words(seeds: list[int]) -> list[str]:
+        path = smoke_file(planners, "mine", seeds=seeds)
+        planner = ["--planner", "my_planner:nothing", "--name", "idle"]
+        return ["evaluate", "--preset", str(path), "--results", str(planners), *planner]
+
+    done(*words([0, 1]))
+    assert "--replace it" in refused(*words([0]))
+    done(*words([0]), "--replace")
+    assert [run.id for run in Store.open(planners, "mine").entered()] == ["idle-optimized-s0"]
+    done(*words([0, 2]))
+
+
 @pytest.mark.parametrize(
     ("observation", "action", "message"),
     [

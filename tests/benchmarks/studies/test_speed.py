@@ -14,7 +14,8 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies import speed
+from benchmarks.runs.store import Store
+from benchmarks.studies import catalogue, speed
 from benchmarks.studies.base import Measured
 from benchmarks.studies.speed import in_turns, measure_updates
 from sb3_rainbow import Rainbow
@@ -44,6 +45,13 @@ def test_times_are_medians_over_the_rounds_without_the_first(
 
     actions = {"a": lambda: take(next(seconds)), "b": lambda: take(1.0)}
     assert in_turns(actions, 3) == pytest.approx({"a": 0.2, "b": 1.0})
+
+
+def test_steps_are_those_that_were_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed, "in_turns", lambda loops, rounds: dict.fromkeys(loops, 1.0))
+    result = speed.measure_steps(100, 1, lambda share: None)
+    made = {speed.SINGLE: 100, "batch of 1": 100, "batch of 8": 96, "batch of 256": 256}
+    assert {name: result[name] for name in made} == {name: 1e6 / n for name, n in made.items()}
 
 
 def test_updates_are_counted_whatever_the_number_of_games() -> None:
@@ -137,3 +145,35 @@ def test_other_settings_leave_what_was_measured(tmp_path: Path) -> None:
     begun(3)
     assert json.loads(kept.read_text("utf-8"))["parts"] == {"a": 1, "b": 1}
     assert json.loads(kept.with_suffix(".before.json").read_text("utf-8"))["parts"] == {"a": 2}
+
+
+OWN = """
+from benchmarks.studies.base import Measured
+
+
+class Own(Measured):
+    name, file = "own", "own/own.json"
+    to_markdown = staticmethod(str)
+
+    def measures(self):
+        return {5: lambda tick: 1}
+"""
+
+
+def test_a_study_that_was_edited_is_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "own_study.py"
+    path.write_text(OWN, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    kind, given = catalogue.study("own_study:Own"), argparse.Namespace(results=tmp_path, command="")
+    kind(given).keep("5", 1)
+    assert list(kind(given).parts()) == []
+    path.write_text(OWN + "# better\n", encoding="utf-8")
+    assert list(kind(given).parts()) == ["5"]
+
+
+def test_failures_are_of_robots_that_take_turns(tmp_path: Path, refused: Command) -> None:
+    Store.open(tmp_path, "team", create=True)
+    words = ["study", "failures", "--preset", "team", "--track", "central"]
+    assert "the robots move at once" in refused(*words, "--results", str(tmp_path))

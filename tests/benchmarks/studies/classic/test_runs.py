@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pandas as pd
 import pytest
 import yaml
 from stable_baselines3 import HerReplayBuffer
+from stable_baselines3.common.envs import FakeImageEnv
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from benchmarks.errors import BenchmarkError
@@ -21,6 +23,7 @@ from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder
+from benchmarks.studies.classic import envs
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.train import build_model, evaluate, run_learner
 from sb3_rainbow import Rainbow
@@ -205,6 +208,25 @@ def test_what_cannot_be_built_is_said_before_anything_runs(
     one = Classic(dataclasses.replace(preset, tasks={"cartpole": task}, methods=["dqn"]))
     with pytest.raises(BenchmarkError, match=message):
         one.check(one.cells)
+
+
+def test_a_control_or_a_network_that_does_not_fit_is_said_before_anything_runs(
+    preset: SuitePreset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turned = partial(FakeImageEnv, screen_height=36, screen_width=36, channel_first=False)
+    monkeypatch.setitem(envs.BY_NAME, "Turned", turned)
+    for change, methods, controls, message in (
+        ({"env": "Pendulum-v1"}, ["ppo"], ["random"], "controls play those with numbers"),
+        ({"env": "CartPool-v1"}, ["dqn"], ["random"], "CartPool"),
+        ({"env": "Turned", "policy": "CnnPolicy"}, ["dqn"], [], "channels last"),
+    ):
+        given: Any = {**change, "methods": {method: {} for method in methods}}
+        task = dataclasses.replace(preset.tasks["cartpole"], **given)
+        tasks: Any = {"tasks": {"task": task}, "methods": methods, "controls": controls}
+        one = Classic(dataclasses.replace(preset, **tasks))
+        cells = [cell for cell in one.cells if cell.learns != bool(controls)]
+        with pytest.raises(BenchmarkError, match=message):
+            one.check(cells)
 
 
 def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
