@@ -1,7 +1,8 @@
 """The cooperative peg-in-hole task as a Gymnasium environment."""
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from gymnasium import spaces
@@ -203,6 +204,9 @@ class CoopInsertionEnv(Rendered):
         self._actions = np.zeros(1, np.int64)
         self._started = False
 
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)  # two environments cannot move in the same rows
+
     @property
     def task(self) -> InsertionTask:
         """The task's numbers, as they were given."""
@@ -289,7 +293,8 @@ class CoopInsertionEnv(Rendered):
                 what is not given is drawn.
 
         Raises:
-            ResetOptionError: an option is malformed or cannot be taken; nothing changes.
+            ResetOptionError: an option is malformed or cannot be taken; nothing changes. Or no
+                start was found, and ``np_random`` has changed alone.
         """
         start = self.check_options(options)
         super().reset(seed=seed)
@@ -378,6 +383,7 @@ class CoopInsertionEnv(Rendered):
             raise StateError(f"the snapshot's rng, stage or start is damaged: {error}") from error
         self._states[:] = snapshot["states"]
         self._rows[:] = snapshot["observations"]
+        self._outcomes[:] = np.zeros(1, state.OUTCOME)
         self._started = started
         self._trace = []
         return self._rows[0].copy()

@@ -16,6 +16,7 @@ from stable_baselines3.common.torch_layers import (
 )
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
+from torch.nn.parameter import is_lazy
 
 from sb3_rainbow.masking.conventions import as_action_masks
 from sb3_rainbow.network.convolutions import NatureConvolutions
@@ -112,7 +113,8 @@ class RainbowPolicy(AsVector, BasePolicy):
         self.q_net_target.load_state_dict(self.q_net.state_dict())
         online = set(map(id, self.q_net.parameters()))  # of which a shared extractor has some
         for parameter in self.q_net_target.parameters():
-            parameter.requires_grad_(id(parameter) in online)
+            if id(parameter) not in online:  # a shared one may be frozen
+                parameter.requires_grad_(False)
         self.q_net_target.set_training_mode(False)
         kwargs = dict(self.optimizer_kwargs)
         if self.optimizer_class in _WITH_FUSED_KERNEL and not kwargs.keys() & _NOT_WITH_FUSED:
@@ -151,7 +153,13 @@ class RainbowPolicy(AsVector, BasePolicy):
         """A network with its own features extractor."""
         own = self.make_features_extractor()
         features: dict[str, Any] = {"features_extractor": own, "features_dim": own.features_dim}
-        return RainbowNetwork(**features, **self.net_args).to(self.device)
+        result = RainbowNetwork(**features, **self.net_args).to(self.device)
+        if any(map(is_lazy, own.parameters())):  # which the first observation makes
+            own.eval()
+            with th.no_grad():
+                seen, _ = result.obs_to_tensor(self.observation_space.sample())
+                result.extract_features(seen, own)
+        return result
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
         """Greedy actions, shape ``(B,)``."""

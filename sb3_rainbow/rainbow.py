@@ -362,8 +362,8 @@ class Rainbow(ResumableAlgorithm):
                 return
         if gradient_steps < 1:
             return
-        self.policy.set_training_mode(True)
         self.policy.q_net_target.set_training_mode(False)  # what was put into it since, too
+        self.policy.set_training_mode(True)  # and what both share
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
         learner.double_q, learner.max_grad_norm = self.double_q, self.max_grad_norm
@@ -372,7 +372,7 @@ class Rainbow(ResumableAlgorithm):
         with flush_denormals(), learner.undisturbed():
             for _ in range(gradient_steps):
                 samples = buffer.sample(batch_size, env=self._vec_normalize_env)
-                batch = as_batch(samples, self.gamma, self._masking)
+                batch = as_batch(samples, self.gamma, self.use_masking is not False)
                 loss, priorities = learner.update(batch, tau)
                 if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
                     buffer.update_priorities(batch.indices, priorities.cpu().numpy())

@@ -130,7 +130,9 @@ def support_of(
 ) -> tuple[float, ...] | None:
     """Ends of the support of a distribution's head; quantiles have none, scalars need none."""
     head = head_of(distributional)
-    return None if head == "scalar" else (v_min, v_max) if head == "categorical" else ()
+    if head != "categorical":
+        return None if head == "scalar" else ()
+    return float(v_min), float(v_max)  # as a file has them
 
 
 def support_in_file(path: SaveFile) -> tuple[float, ...] | None:

@@ -115,7 +115,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
 
     * a move takes 0.2 s, in which joint commands are led along it;
     * one that meets a force above ``touch`` is taken back and counts as a collision, unless the
-      target is reached there;
+      target is reached there, where the lattice of moves then begins anew;
     * without ``finish`` a hole is filled by the kinematic task's criterion, met by the real tip
       and the real hole at the end of a move;
     * with ``finish`` a move whose end meets that criterion by the nominal model is not made: the
@@ -245,6 +245,9 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             return not body.failure[0]
         if body.finish is None and body.reached():
             body.fill(0)
+            if not arrived:  # a contact cut the move short
+                self._states[:] = before
+                kernels.begin_again(self._states, body.command[0], self._packed)
         elif not arrived:
             self._states[:] = before
             kernels.refuse(self._states, action, self._packed)

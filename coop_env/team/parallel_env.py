@@ -1,7 +1,8 @@
 """The team as a PettingZoo ``ParallelEnv``; :func:`coop_env.parallel_env` makes it."""
 
+import copy
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self
 
 import gymnasium as gym
 import numpy as np
@@ -83,6 +84,9 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         self.observation_spaces = self.team.agent_spaces
         self.action_spaces = {agent: spaces.Discrete(joint.N_CHOICES) for agent in AGENTS}
         self.state_space = self.team.observation_space
+
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)
 
     @property
     def agents(self) -> list[str]:

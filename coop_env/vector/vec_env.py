@@ -1,7 +1,8 @@
 """The batched environment as SB3's ``VecEnv``: :mod:`coop_env.vector.vector_env` moves it."""
 
+import copy
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from gymnasium import Wrapper, spaces
@@ -22,7 +23,7 @@ class CoopInsertionVecEnv(VecEnv):
 
     An episode that ends is restarted at once; its last info then carries ``terminal_observation``,
     ``terminal_action_mask`` (the mask of the terminal state) and ``TimeLimit.truncated``. Pickled
-    or deep-copied, the batch plays on as the original would.
+    or copied, the batch plays on as the original would.
 
     Args:
         n_envs: number of environments.
@@ -47,6 +48,9 @@ class CoopInsertionVecEnv(VecEnv):
         self.metadata = self.envs[0].metadata  # a recorder asks for the frames a second
         if seed is not None:
             self.seed(seed)
+
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)
 
     def _make_spaces(self) -> tuple[spaces.Box, spaces.Discrete]:
         """Spaces of a row's observation and action."""
@@ -82,8 +86,9 @@ class CoopInsertionVecEnv(VecEnv):
 
     def reset(self) -> Rows:
         """Reset every environment, with the seeds and options set since the last reset."""
-        self._vector.start(self._seeds[:: self.rows_each], self._options[:: self.rows_each])
-        self.reset_infos = self._infos()
+        k = self.rows_each
+        infos = self._vector.start(self._seeds[::k], self._options[::k])
+        self.reset_infos = [dict(info) for info in self._spread(infos)]
         self._reset_seeds()
         self._reset_options()
         return self._observed(self._vector.rows)
@@ -122,7 +127,7 @@ class CoopInsertionVecEnv(VecEnv):
                 info["TimeLimit.truncated"] = bool(outcomes["truncated"][i])
                 info["terminal_observation"] = observation
                 info["terminal_action_mask"] = mask
-            first = self.envs[i].reset()[1]
+            first = self._vector.begin(i)
             self.reset_infos[rows] = [dict(first) for _ in range(k)]
         return self._observed(self._vector.rows), rewards.repeat(k), dones.repeat(k), infos
 

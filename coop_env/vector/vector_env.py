@@ -49,7 +49,8 @@ class CoopInsertionVectorEnv(SyncVectorEnv):
         max_episode_steps: Gymnasium's limit, which ``make_vec`` gives; the smaller of it and
             ``max_moves`` holds, as with ``gymnasium.make``. Here it decides the observed time and
             the cost of a failure, too; there ``max_moves`` does.
-        env_class: the environments' class; None takes the attribute of that name.
+        env_class: the environments' class; None takes the attribute of that name. Of a ``reset``
+            of its own the state and the observation count, not what it adds to ``info``.
         kwargs: as for :class:`~coop_env.env.CoopInsertionEnv`.
 
     Raises:
@@ -131,8 +132,8 @@ class CoopInsertionVectorEnv(SyncVectorEnv):
             env.check_options(own)
         return list(options)
 
-    def start(self, seeds: Sequence[int | None], options: Sequence[Any]) -> None:
-        """Start all episodes, one after another.
+    def start(self, seeds: Sequence[int | None], options: Sequence[Any]) -> list[dict[str, Any]]:
+        """Start all episodes, one after another; the ``info`` of each.
 
         Raises:
             ResetOptionError: an option is malformed, before anything is reset, or names a state
@@ -140,8 +141,13 @@ class CoopInsertionVectorEnv(SyncVectorEnv):
         """
         self.check_options(options)
         self.pending = False
-        for env, seed, own in zip(self.envs, seeds, options, strict=True):
-            env.reset(seed=seed, options=own)
+        given = enumerate(zip(seeds, options, strict=True))
+        return [self.begin(i, seed=seed, options=own) for i, (seed, own) in given]
+
+    def begin(self, i: int, **given: Any) -> dict[str, Any]:
+        """Start an episode of environment i; its ``info``."""
+        self.rows[i], info = self.envs[i].reset(**given)
+        return dict(info)
 
     def reset(
         self,
@@ -212,7 +218,7 @@ class CoopInsertionVectorEnv(SyncVectorEnv):
         masks = self.action_masks() & these[:, None]
         for i in ended.tolist():
             observations[i] = self.rows[i].copy()
-            self.envs[i].reset()
+            self.begin(i)
         infos = {"final_obs": observations, "final_info": final, "final_action_mask": masks}
         return infos | {f"_{key}": these.copy() for key in infos}
 

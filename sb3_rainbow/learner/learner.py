@@ -165,8 +165,8 @@ def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
         samples.next_observations,
         samples.dones,
         samples.rewards,
-        th.full_like(samples.rewards, gamma) if discounts is None else discounts,
-        samples.rewards.new_ones(n) if weights is None else weights,
+        th.full_like(samples.rewards, gamma) if discounts is None else discounts.reshape(n, 1),
+        samples.rewards.new_ones(n) if weights is None else weights.reshape(n),
         getattr(samples, "indices", np.empty(0, np.int64)),
         getattr(samples, "next_action_masks", None) if masking else None,
     )

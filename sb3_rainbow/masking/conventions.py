@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sb3_contrib.common.maskable.utils import is_masking_supported
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecNormalize
 
 from sb3_rainbow.type_aliases import ObsArray
 
@@ -61,8 +61,15 @@ class TerminalActionMask(gym.Wrapper):
 
 
 def capture_terminal_masks(env: VecEnv) -> None:
-    """Wrap the envs of a ``DummyVecEnv`` in :class:`TerminalActionMask` where they have masks."""
+    """Wrap the envs of a ``DummyVecEnv`` in :class:`TerminalActionMask` where they have masks.
+
+    Not below a ``VecEnvWrapper`` with an ``env_method`` of its own, which may change them.
+    """
     inner = env.unwrapped
+    while isinstance(env, VecEnvWrapper):
+        if type(env).env_method is not VecEnvWrapper.env_method:
+            return
+        env = env.venv
     if not isinstance(inner, DummyVecEnv) or not is_masking_supported(inner):
         return
     for i, env_of_row in enumerate(inner.envs):

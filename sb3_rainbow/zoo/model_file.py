@@ -85,7 +85,7 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
         ZooError: naming each setting that has no form without a pickle.
     """
     given = {name: getattr(model, name) for name in _HINTS if hasattr(model, name)}
-    given["policy"] = model.policy_class
+    given |= {"policy": model.policy_class, "stats_window_size": model._stats_window_size}
     if not model._tau_was_chosen:
         given["tau"] = None
     weights = {name: value.cpu().numpy() for name, value in model.policy.state_dict().items()}

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -19,6 +20,7 @@ from coop_env import (
     CoopInsertionTeamVecEnv,
     CoopInsertionVecEnv,
     CoopInsertionVectorEnv,
+    parallel_env,
 )
 from coop_env.errors import ArgumentError, ResetOptionError
 
@@ -226,6 +228,69 @@ def test_a_shallow_copy_of_a_batch_leaves_the_original_its_rows() -> None:
     assert [env.configuration[0] for env in batch.envs] == [
         row["configuration"][0] for row in batch.states
     ]
+
+
+@pytest.mark.parametrize("form", [CoopInsertionEnv, partial(CoopInsertionVecEnv, 1), parallel_env])
+def test_a_shallow_copy_leaves_the_original_where_it_was(form: Any) -> None:
+    def place(env: Any) -> Any:
+        if isinstance(env, CoopInsertionVecEnv):
+            return env.get_attr("configuration")[0]
+        return getattr(env, "team", env).configuration
+
+    env = form()
+    env.seed(0) if isinstance(env, CoopInsertionVecEnv) else env.reset(seed=0)
+    env.reset()
+    other, before = copy.copy(env), place(env)
+    moved = {"delta": 4, "rrs": 0} if form is parallel_env else 4
+    other.step([4] if isinstance(env, CoopInsertionVecEnv) else moved)
+    np.testing.assert_array_equal(place(env), before)
+    assert not np.array_equal(place(other), before)
+
+
+class Own(CoopInsertionEnv):
+    """An environment whose reset says something of its own."""
+
+    def reset(self, **given: Any) -> tuple[Any, dict[str, Any]]:
+        observation, info = super().reset(**given)
+        return 0.0 * observation, {**info, "name": 7}
+
+
+class OwnVecEnv(CoopInsertionVecEnv):
+    env_class = Own
+
+
+def test_a_reset_of_ones_own_counts_at_the_start_and_between_episodes() -> None:
+    batch = CoopInsertionVectorEnv(2, env_class=Own, max_moves=1)
+    vec_env = OwnVecEnv(2, max_moves=1)
+    actions = np.array([4, 4])
+    for first in (
+        *(batch.reset(seed=0)[0], batch.step(actions)[0]),
+        *(vec_env.reset(), vec_env.step(actions)[0]),
+    ):
+        np.testing.assert_array_equal(first, np.zeros((2, 12)))
+    for again in (False, True):
+        if again:
+            vec_env.reset()
+        assert [info["name"] for info in vec_env.reset_infos] == [7, 7]
+
+
+def test_a_snapshot_brings_no_collision_of_another_episode() -> None:
+    env = CoopInsertionEnv(collision="terminate", max_moves=20)
+    ended: dict[str, Any] = {}
+    for seed in range(100):
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        while env.running:
+            env.step(int(rng.integers(12)))
+        ended.setdefault(env.scene().status, env.get_state())
+        if {"collision", "timeout"} <= ended.keys():
+            break
+    while env.scene().status != "collision":
+        env.reset()
+        while env.running:
+            env.step(5)
+    env.set_state(ended["timeout"])
+    assert env.scene().status == "timeout"
 
 
 def test_a_reset_that_is_refused_starts_no_environment() -> None:

@@ -82,6 +82,18 @@ def test_a_move_into_the_dome_is_taken_back() -> None:
     assert not env.action_masks()[DOWN]
 
 
+def test_an_insertion_that_a_contact_cuts_short_leaves_the_model_where_the_machine_is() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(touch=8.0)
+    energy = []
+    for error in (0.0, 0.0035):
+        env.reset(seed=0, options={**above(4, 0.012), "error": [error, 0.0, 0.0, 0.0]})
+        *_, info = env.step(DOWN)
+        assert info["inserted"]
+        np.testing.assert_array_equal(env.configuration, env.physics.command[0])
+        energy.append(info["energy"])
+    assert energy[1] == pytest.approx(0.75 * energy[0], rel=0.02)
+
+
 def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(finish=push)
     env.reset(seed=0, options={**above(3, 0.025), "error": [0.0005, 0.0, 0.01, 0.0]})

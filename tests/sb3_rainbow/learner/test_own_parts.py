@@ -1,6 +1,7 @@
 """Layers, heads and noise of a user's own take part as they would in SB3."""
 
 import io
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -171,6 +172,48 @@ def test_an_extractor_that_both_networks_share_learns() -> None:
     model.learn(60)
     assert not th.equal(before, layer.weight)
     assert not any(p.requires_grad for p in model.policy.q_net_target.layers.parameters())
+
+
+class Frozen(Backbone):
+    def __init__(self, space: spaces.Space) -> None:
+        super().__init__(space)
+        self.tuned.requires_grad_(False)
+
+
+def test_a_frozen_extractor_that_both_networks_share_stays_frozen() -> None:
+    model = make(SharedPolicy, policy_kwargs={"features_extractor_class": Frozen})
+    layer: Any = model.q_net.features_extractor.tuned
+    before = layer.weight.detach().clone()
+    model.learn(60)
+    assert th.equal(before, layer.weight)
+
+
+@pytest.mark.parametrize("policy", ["MlpPolicy", SharedPolicy])
+def test_statistics_of_an_extractor_are_learned_shared_or_not(policy: Any) -> None:
+    kwargs = extracting(lambda: nn.Sequential(nn.Linear(4, 8), nn.BatchNorm1d(8)), 8)
+    model = make(policy, policy_kwargs=kwargs).learn(60)
+    counts = [m for m in model.q_net.modules() if isinstance(m, nn.BatchNorm1d)]
+    assert all(int(m.num_batches_tracked or 0) >= model._n_updates > 0 for m in counts)
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_an_extractor_may_find_its_sizes_out(kernels: bool) -> None:
+    kwargs = extracting(lambda: nn.Sequential(nn.LazyLinear(8), nn.ReLU()), 8)
+    model = make(policy_kwargs=kwargs, cpu_kernels=kernels)
+    (layer,) = (m for m in model.q_net.features_extractor.modules() if isinstance(m, nn.Linear))
+    before = layer.weight.detach().clone()
+    model.learn(60)
+    assert not th.equal(before, layer.weight)
+
+
+def test_a_foreign_sample_has_a_weight_and_a_discount_for_each_transition() -> None:
+    n = 5
+    column = th.linspace(0.1, 1.0, n)[:, None]
+    given: Any = dict.fromkeys(("observations", "next_observations", "dones", "rewards"), column)
+    own = {"actions": column, "weights": column, "discounts": column[:, 0]}
+    batch = as_batch(SimpleNamespace(**given, **own), 0.9, masking=False)
+    assert th.equal(batch.weights, column[:, 0])
+    assert th.equal(batch.discounts, column)
 
 
 def test_noise_of_a_subclass_is_drawn_and_silenced() -> None:

@@ -1,7 +1,9 @@
 """Masks wherever an action is chosen or valued; a callback stops the training, and it goes on."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import gymnasium as gym
 import numpy as np
@@ -12,10 +14,18 @@ from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, StopTrainingOnMaxEpisodes
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    SubprocVecEnv,
+    VecEnv,
+    VecEnvWrapper,
+    VecNormalize,
+)
 
-from sb3_rainbow import PrioritizedReplayBuffer, Rainbow, TerminalActionMask
+from sb3_rainbow import PrioritizedReplayBuffer, Rainbow, TerminalActionMask, rainbow
+from sb3_rainbow.learner.learner import as_batch
 from tests.sb3_rainbow.small import Toy, make
 
 N_ACTIONS = 6
@@ -124,6 +134,47 @@ def test_subprocess_envs_without_it_warn_once() -> None:
         model.learn(60)
     assert len(seen) == 1
     env.close()
+
+
+class OneLess(VecEnvWrapper):
+    """Forbids what is allowed first."""
+
+    def reset(self) -> Any:
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        return self.venv.step_wait()
+
+    def env_method(self, method_name: str, *args: Any, **kwargs: Any) -> list[Any]:
+        masks = super().env_method(method_name, *args, **kwargs)
+        for mask in masks if method_name == "action_masks" else []:
+            mask[int(mask.argmax())] = False
+        return masks
+
+
+def test_masks_that_a_wrapper_of_the_batch_changes_are_not_taken_from_below() -> None:
+    class Free(Toy):
+        def action_masks(self) -> np.ndarray:
+            return np.ones(spaces.flatdim(self.action_space), bool)
+
+    space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+    model = small_model(OneLess(DummyVecEnv([lambda: Free(space, length=5)])))
+    with pytest.warns(UserWarning, match="wrap each env in sb3_rainbow.TerminalActionMask"):
+        model.learn(60)
+
+
+@pytest.mark.parametrize("use_masking", ["auto", True, False])
+def test_a_loaded_buffers_masks_count_without_a_rollout(
+    use_masking: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small_model(ClockEnv()).learn(60).save_replay_buffer(tmp_path / "buffer")
+    model = small_model(ClockEnv(), use_masking=use_masking)
+    model.load_replay_buffer(tmp_path / "buffer")
+    model.set_logger(configure(None, []))
+    spy = mock.Mock(wraps=as_batch)
+    monkeypatch.setattr(rainbow, "as_batch", spy)
+    model.train(2)
+    assert [call.args[2] for call in spy.call_args_list] == [use_masking is not False] * 2
 
 
 class NoMovesLeft(ClockEnv):

@@ -108,6 +108,12 @@ def test_a_support_asks_for_the_categorical_head(
     assert (loaded.distributional, loaded.v_min, loaded.v_max) == head
 
 
+def test_a_support_of_numpys_numbers_is_the_one_in_the_file(tmp_path: Any) -> None:
+    model = make(v_min=np.float32(0.0), v_max=np.int64(100))
+    model.save(tmp_path / "m")
+    model.set_parameters(str(tmp_path / "m"))
+
+
 def test_parameters_of_other_settings(tmp_path: Any) -> None:
     model = make(v_min=0.0, v_max=100.0)
     make(v_min=0.0, v_max=50.0).save(tmp_path / "m")

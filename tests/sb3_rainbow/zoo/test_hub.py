@@ -129,6 +129,10 @@ def test_a_packaged_model_is_the_model(env: Any, settings: dict[str, Any]) -> No
     loaded.learn(50, reset_num_timesteps=False)
 
 
+def test_the_window_of_the_statistics_travels_too() -> None:
+    assert hub.load(package(model_of(stats_window_size=7)))._stats_window_size == 7
+
+
 def test_settings_can_be_changed_but_not_what_the_weights_were_trained_for() -> None:
     path = package(model_of(v_min=0.0, v_max=100.0))
     assert hub.load(path, learning_rate=0.5, buffer_size=500).learning_rate == 0.5
