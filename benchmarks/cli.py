@@ -120,7 +120,8 @@ def train(given: Given) -> int:
 def cell(given: Given) -> int:
     """One cell of any experiment, as the harness starts it."""
     one, store = opened(given.experiment, given.recipe, given.store)
-    return run_here(one, store, given.cell, given.parent, given.wait, given.device or "cpu")
+    device = given.device or "cpu"
+    return run_here(one, store, given.cell, given.parent, given.wait, device, given.settings or "")
 
 
 def evaluate(given: Given) -> int:
@@ -154,10 +155,13 @@ def evaluate(given: Given) -> int:
 def _write(one: Experiment, method: str, store: Store, console: Console) -> None:
     try:
         getattr(one, method)(store, console)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except BenchmarkError:
+        raise
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         # perhaps of a file that can be read, and holds what it must not
         if problems := catalogue.named(store.folder, lambda: one.problems(store)):
-            raise BenchmarkError(problems[0]) from error
+            message = f"{problems[0]} ({type(error).__name__}: {error})"
+            raise BenchmarkError(message) from error
         raise
 
 
@@ -234,7 +238,7 @@ CELL: Options = {
     "--parent": {"type": int, "help": argparse.SUPPRESS},  # the harness
     "--wait": {"type": float, "default": 0.0, "help": "s to wait for another process"},
 }
-OPENED: Options = {"experiment": {}, "recipe": {}, "store": {"type": Path}}
+OPENED: Options = {"experiment": {}, "recipe": {}, "store": {"type": Path}, "--settings": {}}
 CLUSTER: Options = {
     "--backend": {"choices": BACKENDS, "default": BACKENDS[0], "help": "place of processes"},
     "--address": {"help": "address of the Ray cluster, 'auto' for the one at hand"},
@@ -252,7 +256,7 @@ ENTRY: Options = {
     "--mask-singularities": {"action": "store_true", "help": "mask collisions and singular moves"},
     "--mask-visited": {"type": at_least(0), "default": 0, "metavar": "N",
                        "help": "mask the last N configurations"},
-    "--replace": {"action": "store_true", "help": "overwrite the stored entry of this name"},
+    "--replace": {"action": "store_true", "help": "overwrite the entry of this name, every seed"},
     "--episodes": {"type": at_least(1), "metavar": "N",
                    "help": "test episodes per seed, for a look: nothing joins the leaderboard"},
     "--starts": {"type": at_least(0), "metavar": "NUMBER",

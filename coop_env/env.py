@@ -381,9 +381,10 @@ class CoopInsertionEnv(Rendered):
         except (TypeError, ValueError, KeyError) as error:
             self._stage = before
             raise StateError(f"the snapshot's rng, stage or start is damaged: {error}") from error
+        if self._states.tobytes() != snapshot["states"].tobytes():  # of another state
+            self._outcomes[:] = np.zeros(1, state.OUTCOME)
         self._states[:] = snapshot["states"]
         self._rows[:] = snapshot["observations"]
-        self._outcomes[:] = np.zeros(1, state.OUTCOME)
         self._started = started
         self._trace = []
         return self._rows[0].copy()

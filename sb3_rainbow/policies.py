@@ -1,5 +1,6 @@
 """Policies of Rainbow: the online and the target network, and how actions are chosen."""
 
+import copy
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -155,10 +156,11 @@ class RainbowPolicy(AsVector, BasePolicy):
         features: dict[str, Any] = {"features_extractor": own, "features_dim": own.features_dim}
         result = RainbowNetwork(**features, **self.net_args).to(self.device)
         if any(map(is_lazy, own.parameters())):  # which the first observation makes
+            seen, _ = result.obs_to_tensor(copy.deepcopy(self.observation_space).sample())
             own.eval()
             with th.no_grad():
-                seen, _ = result.obs_to_tensor(self.observation_space.sample())
                 result.extract_features(seen, own)
+            own.train()
         return result
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:

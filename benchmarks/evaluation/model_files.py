@@ -124,7 +124,7 @@ def set_weights(model: BaseAlgorithm, path: Path) -> None:
         ) from error
     arrays: Any = parameters["policy"]
     if odd := arrays.keys() ^ model.policy.state_dict().keys():
-        raise KeyError(f"the networks differ in {min(odd)}")
+        raise BenchmarkError(f"{path} is of another network: they differ in {min(odd)}")
     model.set_parameters({"policy": arrays}, exact_match=False)  # without an optimizer
 
 

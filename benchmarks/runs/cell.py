@@ -1,5 +1,6 @@
 """One cell of an experiment from start to end. Runs in a process of its own, or in this one."""
 
+import hashlib
 import json
 import os
 import pkgutil
@@ -105,6 +106,11 @@ def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment, Store]:
     return experiment, Store(folder.parent, folder.name)
 
 
+def digest(settings: Mapping[str, Any]) -> str:
+    """SHA-256 of a cell's settings."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+
+
 def check_gpu(device: str | None) -> None:
     """Raise BenchmarkError if networks are to live on a GPU and there is none."""
     if device == "cuda":
@@ -116,9 +122,12 @@ def check_gpu(device: str | None) -> None:
 
 def run_here(
     experiment: Experiment, store: Store, cell_id: str, parent: int | None, wait: float,
-    device: str,
+    device: str, admitted: str = "",
 ) -> int:  # fmt: skip
-    """Run one cell in this process and say how it ended; returns the command's exit code."""
+    """Run one cell in this process and say how it ended; returns the command's exit code.
+
+    ``admitted`` is the :func:`digest` of the settings that the harness has looked at.
+    """
     caught: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, _: caught.append(number))
@@ -128,6 +137,10 @@ def run_here(
         return bool(caught) or (parent is not None and os.getppid() != parent)
 
     cell = experiment.find(cell_id)
+    if admitted and admitted != digest(experiment.settings(cell)):
+        raise BenchmarkError(
+            f"preset '{experiment.name}' was edited after the run began: give the command again"
+        )
     check_gpu(device)
     folder = store.run(cell.id).path
     if not run_cell(experiment, cell, store, stop_requested, wait, device):

@@ -158,12 +158,11 @@ class Harness:
         argv = [
             *cells.argv(self.experiment, self.store),
             *("--cell", cell.id, "--device", self.device),
+            *("--settings", cells.digest(self.experiment.settings(cell))),
             # the process of a harness that was killed may still be saving
             *("--wait", f"{GRACE_SECONDS:g}"),
         ]
         folder = self.store.run(cell.id)
-        # its process opens the preset's file again, which may have been edited since
-        folder.begin(self.experiment.settings(cell))
         task = progress.add_task(f"  {cell.id}", start=False, total=1.0, visible=False, note="")
         return _Child(folder, self.backend.start(argv, folder), task)
 

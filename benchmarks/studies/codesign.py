@@ -196,11 +196,11 @@ def search(
     for left in run.get_trials(states=(TrialState.RUNNING,)):
         run.tell(left.number, state=TrialState.FAIL)  # its design is proposed again
     while True:
-        scored = [trial.user_attrs for trial in run.get_trials(states=(TrialState.COMPLETE,))]
-        rows = [of["row"] for of in scored]
+        kept = [trial.user_attrs for trial in run.get_trials()]
+        rows = [of["row"] for of in kept if "row" in of]
         skipped = dict(Counter(run.user_attrs.values()))
         if len(rows) >= designs:
-            return rows, skipped, sum(of.get("seconds", 0.0) for of in scored)
+            return rows, skipped, sum(of.get("seconds", 0.0) for of in kept)
         tick(len(rows) / designs)
         number = len(rows) + sum(skipped.values())
         # of its own for each: what is proposed depends on the designs before it alone
@@ -209,6 +209,7 @@ def search(
         try:
             row = score(f"{study}-{number}", study, build(rounded(trial.params)), starts)
         except Unbuilt as error:
+            trial.set_user_attr("seconds", time.process_time() - began)
             run.set_user_attr(str(trial.number), str(error))
             run.tell(trial, state=TrialState.FAIL)
             continue
@@ -250,7 +251,7 @@ class Codesign(Study):
         return {"named designs": self._score_named, **searches}
 
     def _score_named(self, tick: Tick) -> None:
-        starts = self.asked["starts"]
+        starts, began = self.asked["starts"], time.process_time()
         for name, geometry in GEOMETRIES.items():
             study = report.ALL if name == BASE else "lambdas"
             self.rows.append(score(name, study, geometry, starts))
@@ -258,6 +259,7 @@ class Codesign(Study):
         for study in STUDIES:
             best = geometry_of(area_best(study))
             self.rows.append(score(f"{study}-area", study, best, starts))
+        self.seconds += time.process_time() - began
 
     def _search(self, study: str, tick: Tick) -> None:
         size = (self.asked["designs"], self.asked["starts"])

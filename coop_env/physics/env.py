@@ -1,7 +1,8 @@
 """Both tasks with real contact as Gymnasium environments: one hole by feel, and all of them."""
 
+import copy
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from gymnasium import spaces
@@ -113,6 +114,9 @@ class PhysicsEnv(PhysicsRow):
             reward_scale=reward_scale, privileged=privileged, **arguments,
         )  # fmt: skip
         super().__init__(batch, 0, self.discrete, render_mode)
+
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)  # two environments cannot move one machine
 
     @property
     def params(self) -> EnvParams:

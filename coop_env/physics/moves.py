@@ -241,19 +241,19 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             kernels.begin_again(self._states, body.command[0], self._packed)
             return True
         arrived = body.lead(self._states["configuration"][0], self._steps, self.touch)
-        if body.failure[0] or body.filled[0, target]:
-            return not body.failure[0]
-        if body.finish is None and body.reached():
-            body.fill(0)
-            if not arrived:  # a contact cut the move short
-                self._states[:] = before
-                kernels.begin_again(self._states, body.command[0], self._packed)
-        elif not arrived:
-            self._states[:] = before
-            kernels.refuse(self._states, action, self._packed)
-            body.lead(back)
+        if body.failure[0]:
             return False
-        return True
+        if body.finish is None and not body.filled[0, target] and body.reached():
+            body.fill(0)
+        if arrived:
+            return True
+        self._states[:] = before
+        if body.filled[0, target]:  # a contact cut the move short
+            kernels.begin_again(self._states, body.command[0], self._packed)
+            return True
+        kernels.refuse(self._states, action, self._packed)
+        body.lead(back)
+        return False
 
     def _merge(self, info: dict[str, Any]) -> dict[str, Any]:
         """The kinematic task's ``info`` and the simulation's; where things are is the latter's."""

@@ -1,8 +1,9 @@
 """Many episodes with real contact at once, as Gymnasium's ``VectorEnv``."""
 
+import copy
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -50,6 +51,9 @@ class PhysicsVectorEnv(SyncVectorEnv):
         rows = [partial(PhysicsRow, batch, row, self.discrete, None) for row in range(n)]
         super().__init__(rows, autoreset_mode=AutoresetMode.SAME_STEP)
         self.metadata["render_modes"] = []
+
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None,

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from gymnasium.spaces import Discrete
+
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.learners import learner_of
 from benchmarks.protocol.plan import Cell
@@ -29,9 +31,10 @@ class Classic(Experiment[SuitePreset]):
 
         env = make_env(task := self.preset.tasks[cell.track])
         env.close()
-        if not hasattr(env.action_space, "n"):
+        actions = env.action_space
+        if not (isinstance(actions, Discrete) and actions.start == 0):
             raise BenchmarkError(
-                f"{task.env} has actions {env.action_space}: controls play those with numbers"
+                f"{task.env} has actions {actions}: controls play numbers from 0 on"
             )
 
     def kind(self, config: dict[str, Any]) -> tuple[str, ...]:

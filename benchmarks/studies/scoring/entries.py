@@ -111,6 +111,7 @@ def score(preset: Preset, given: Given, console: Console) -> None:
                 _score(here, config, run, preset.name, progress)
         for path in old:  # gives way once all seeds of the new one have played
             shutil.rmtree(path)
+        for path in old:  # and stands beside none of its seeds
             if path.name in ids:
                 (replacing / path.name).rename(path)
         shutil.rmtree(replacing, ignore_errors=True)

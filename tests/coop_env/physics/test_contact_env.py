@@ -279,7 +279,9 @@ def test_holes_that_cannot_be_turned_upright() -> None:
 ASLANT = np.array([0.1, 0.0, -0.5, 0.0, 0.0, 0.1])
 
 
-@pytest.mark.parametrize("take", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize(
+    "take", [copy.copy, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
+)
 @pytest.mark.parametrize(
     ("name", "arguments", "start", "before", "after"),
     [

@@ -216,7 +216,7 @@ def test_a_control_or_a_network_that_does_not_fit_is_said_before_anything_runs(
     turned = partial(FakeImageEnv, screen_height=36, screen_width=36, channel_first=False)
     monkeypatch.setitem(envs.BY_NAME, "Turned", turned)
     for change, methods, controls, message in (
-        ({"env": "Pendulum-v1"}, ["ppo"], ["random"], "controls play those with numbers"),
+        ({"env": "Pendulum-v1"}, ["ppo"], ["random"], "controls play numbers"),
         ({"env": "CartPool-v1"}, ["dqn"], ["random"], "CartPool"),
         ({"env": "Turned", "policy": "CnnPolicy"}, ["dqn"], [], "channels last"),
     ):
