@@ -12,7 +12,7 @@ are those of the twin's MJCF, a forearm's halved between its rods.
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +26,7 @@ from coop_env.physics.joints import tree_angles
 from coop_env.physics.model import DELTA_RANGE, Machine, to_xml
 from coop_env.physics.twin import make_model
 from coop_env.rendering.bodies import ROD_SPACING, SIDES, Body, bodies, pixels
+from coop_env.rendering.rasterizer import to_linear
 
 with imports("exports need", "trajectory"):
     import mujoco
@@ -62,9 +63,8 @@ def links(machine: Machine | None = None) -> list[Link]:
     env = CoopInsertionEnv(m.rrs, delta=m.delta, task=m.task)
     env.reset(seed=0, options={"configuration": m.home()})
     parts: dict[str, list[Body]] = {}
-    for part in bodies(env.scene()):
-        if not part.shines:  # the arrow at the target
-            parts.setdefault(part.name.split("/")[0], []).append(part)
+    for part in bodies(replace(env.scene(), target=-1)):  # no hole is aimed at
+        parts.setdefault(part.name.split("/")[0], []).append(part)
     model = make_model(m)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -78,7 +78,9 @@ def links(machine: Machine | None = None) -> list[Link]:
         for part in parts[name]:
             world = part.mesh.vertices @ part.rotation.T + part.position
             mesh = trimesh.Trimesh((world - position) @ rotation, part.mesh.faces)
-            colour = [*pixels(part.colour), 255]
+            # glTF has linear light, and other formats no colours
+            red, green, blue = to_linear(part.colour)
+            colour = [*pixels((red, green, blue)), 255]
             mesh.visual = trimesh.visual.ColorVisuals(mesh, face_colors=colour)
             meshes.append(mesh)
         result.append(Link(name, rotation, position, trimesh.util.concatenate(meshes)))
@@ -87,6 +89,8 @@ def links(machine: Machine | None = None) -> list[Link]:
 
 def save_stl(folder: str | Path, machine: Machine | None = None, unit: str = "m") -> list[Path]:
     """Write a binary STL of each link, in its own frame, in ``"m"`` or ``"mm"``; returns the paths.
+
+    The platform's dome and bores are open shells, the other links are closed.
 
     Raises:
         ArgumentError: the unit is neither.

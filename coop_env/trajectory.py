@@ -198,10 +198,13 @@ def make_trajectory(
     kinds = [f"max_joint_{kind}" for kind in ("velocity", "acceleration", "jerk")]
     each = [[getattr(owner, kind) for owner in (robot, rrs)] for kind in kinds]
     limits = np.repeat(each, 3, axis=1)
-    rest = np.zeros_like(joints)
-    moves = _profiles(joints, rest, limits, move_time)
+    if not blend or move_time is None:
+        moves = _profiles(joints, np.zeros_like(joints), limits, move_time)
     if blend:
-        means = np.diff(joints, axis=0) / np.array([max(m.shape[1] - 1, 1) for m in moves])[:, None]
+        steps = np.full(len(joints) - 1, move_time or 0.0) / TIMESTEP
+        if move_time is None:
+            steps = np.array([max(m.shape[1] - 1, 1) for m in moves], np.float64)
+        means = np.diff(joints, axis=0) / steps[:, None]
         moves = _profiles(joints, _passing(means / TIMESTEP), limits, move_time)
     stops = np.cumsum([0, *(move.shape[1] - 1 for move in moves)])
     parts = [moves[0][:, :1], *(move[:, 1:] for move in moves)]

@@ -15,7 +15,9 @@ mine = coop_env.DeltaGeometry(proximal_length=0.22, distal_length=0.48, base_hei
 env = coop_env.CoopInsertionEnv(delta=mine)
 env.reset(seed=int(sys.argv[1]) if len(sys.argv) > 1 else 0)
 way, moves = [env.configuration], LatticeOracle().plan(env).moves
-for move in () if moves is None else moves:
+if moves is None:
+    raise SystemExit("from this start there is no way to a hole: take another")
+for move in moves:
     env.step(move)
     way.append(env.configuration)
 trajectory = make_trajectory(way, delta=mine)

@@ -108,7 +108,11 @@ def over_heaves(
 
 
 def slopes(geometry: RRSGeometry, problem: DesignProblem = PAPER_PROBLEM) -> dict[str, float]:
-    """Change of A_w, rad^2 per mm, by each length in turn (central difference of 0.5 mm)."""
+    """Change of A_w, rad^2 per mm, by each length in turn (central difference of 0.5 mm).
+
+    Raises:
+        GeometryError: a machine with a length 0.5 mm off cannot be assembled.
+    """
 
     def area(name: str, error: float) -> float:
         longer: dict[str, Any] = {name: getattr(geometry, name) + error}

@@ -134,8 +134,8 @@ def replay(
 ) -> Replayed:
     """Let a policy of the kinematic task drive a machine, move by move, by what it reports.
 
-    The measured joints give the configuration, and that observation and masks. A move is commanded
-    only if it is valid and its whole way is free.
+    The measured joints give the configuration, and that observation, masks and whether a hole is
+    filled. A move is commanded only if it is valid and its whole way is free.
 
     Args:
         policy: from observation and action masks to an action.
@@ -160,6 +160,8 @@ def replay(
         raise ArgumentError("observation = 'markov': a replay does not know the episode's time")
     m = Machine() if machine is None else machine
     geometries: dict[str, Any] = {"geometry": m.rrs, "delta": m.delta, "task": m.task}
+    if wrong := [name for name in geometries if name in arguments]:
+        raise ArgumentError(f"{wrong[0]}: the machine has it")
     env = CoopInsertionEnv(**geometries, **arguments)
     most = sum(m.task.active_holes(env.stage))
     check_integer("target", target, 0, most - 1, hint=", an active hole")
@@ -199,12 +201,23 @@ def replay(
             return end(f"a force of {felt:.3g} N")
         if off > error_limit:
             return end(f"a joint is {off:.3g} rad off its command")
-        if info["inserted"]:
-            filled.append(int(info["inserted_hole"]))
+        after = int(env.state["target"])
+        if info["inserted"] and _meets(env, where, target, filled):
+            filled.append(target)
         if len(filled) >= wanted_holes:
             return end("filled")
-        target = int(env.state["target"])
+        target = after if target in filled else target
     return end("no moves are left")
+
+
+def _meets(env: CoopInsertionEnv, where: Floats, target: int, filled: Sequence[int]) -> bool:
+    """Whether the criterion holds at a configuration (6,), which is measured."""
+    try:
+        env.reset(options={"configuration": where, "target": target, "filled": filled})
+    except ResetOptionError:  # which ends the replay
+        return False
+    near, state = env.task, env.state
+    return bool(state["distance"] < near.tolerance and state["angle"] < near.angle_tolerance)
 
 
 def _stand(driver: Driver, m: Machine, near: Sequence[float] | Floats, patience: float) -> Floats:
@@ -220,7 +233,11 @@ def _off(driver: Driver, joints: Floats, patience: float) -> float:
 
 
 def _numbers(call: Callable[[], Any], n: int, seconds: float) -> Floats:
-    result = np.asarray(_ask(call, seconds=seconds), np.float64)
+    answer = _ask(call, seconds=seconds)
+    try:
+        result = np.asarray(answer, np.float64)
+    except (TypeError, ValueError):
+        raise DriverError(f"the machine answered {answer!r}: must be {n} numbers") from None
     if result.shape != (n,) or not np.isfinite(result).all():
         raise DriverError(f"the machine answered {result.tolist()}: must be {n} finite numbers")
     return result
@@ -237,9 +254,9 @@ def _ask(call: Callable[..., Any], *arguments: Any, seconds: float) -> Any:
             answer.set_exception(error)
 
     threading.Thread(target=work, daemon=True).start()
-    if not wait([answer], seconds).done:
+    if not wait([answer], min(seconds, threading.TIMEOUT_MAX)).done:
+        name = getattr(call, "__name__", "a call")
         raise DriverError(
-            f"the machine did not answer {call.__name__} within {seconds:.3g} s; its last command "
-            "holds"
+            f"the machine did not answer {name} within {seconds:.3g} s; its last command holds"
         )
     return answer.result()

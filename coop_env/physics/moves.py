@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv, Observation
-from coop_env.errors import ArgumentError, StateError, check_number
+from coop_env.errors import ActionError, ArgumentError, StateError, check_number
 from coop_env.physics import kernels
 from coop_env.physics.batch import row_of
 from coop_env.physics.contact import in_units
@@ -19,6 +19,7 @@ from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.scene import Scene
 from coop_env.simulation import start_states
 from coop_env.simulation.observation import observe_batch
+from coop_env.simulation.task import N_AXES
 
 SETTLING: Final = 4
 """Control steps that each leg of the way to a hole takes at least, and rest above it."""
@@ -100,10 +101,21 @@ class Lead(WholeBatch):
         self._first_joints = self.perceived(rows)[1]
         for _ in range(self.task.max_steps):
             seen = in_units(self._felt(rows))[0]
-            self._action = np.clip(np.asarray(policy(seen), np.float64), -1.0, 1.0)[None]
+            self._action = _within(policy(seen))[None]
             self.advance(self.command + self._action * self.task.increments)
             if self.failure[0] or self.filled[0, hole]:
                 return
+
+
+def _within(answer: Any) -> Floats:
+    """What a finish answers as increments (6,) within [-1, 1]."""
+    try:
+        result = np.asarray(answer, np.float64)
+    except (TypeError, ValueError):
+        result = np.empty(0)
+    if result.shape != (N_AXES,) or np.isnan(result).any():
+        raise ActionError(f"finish gave {answer!r}: must be {N_AXES} increments")
+    return np.clip(result, -1.0, 1.0)
 
 
 class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
@@ -191,6 +203,9 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         self.physics.begin(0, self._states[0], self._own, self.np_random)
         self._started = True
 
+    def observe(self) -> Any:
+        return self._seen(super().observe())
+
     def _tip(self) -> NDArray[Any]:
         tip: NDArray[Any] = self.physics.twin.readings().tip[0]
         return tip
@@ -210,7 +225,9 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         """Make the move on the twin, and write what a kernel would."""
         body, row = self.physics, self._states[0]
         filled, was_inside = body.filled[0].copy(), row["inside"].astype(bool)
+        self._started = False  # until the machine has moved: a finish may raise
         violation = not self._move(int(self._actions[0]))
+        self._started = True
         new = body.filled[0] & ~filled
         duplicate = not violation and bool(
             (row["inside"].astype(bool) & filled & ~was_inside).any()

@@ -52,7 +52,8 @@ class ContactTask:
         dt: control period, s; whole timesteps of the simulation.
         timestep: of the simulation, s.
         contact_time: time constant of a contact, s, which sets the forces; two timesteps at least.
-        effector_play: tilt of the effector about x and y that its rods' play allows, rad.
+        effector_play: tilt of the effector about x and y that its rods' play allows, rad. The
+            alignment error is the hole's to an upright peg, without it.
         max_steps: control steps until truncation.
         force_limit: a force beyond this in any timestep ends the episode as a failure, N.
         free_force: a peak force up to this costs nothing, N.

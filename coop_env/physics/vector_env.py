@@ -29,7 +29,8 @@ class PhysicsVectorEnv(SyncVectorEnv):
     Args:
         num_envs: number of environments.
         threads: of the simulation, at most as many as there are cores.
-        max_episode_steps: from ``make_vec``; the smaller of it and the task's limit holds.
+        max_episode_steps: from ``make_vec``; the smaller of it and the task's limit holds, and is
+            the task's: rows equal single environments of that ``max_steps``.
         arguments: of the single environment, without ``render_mode``.
 
     Raises:

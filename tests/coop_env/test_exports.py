@@ -21,7 +21,8 @@ from coop_env.geometry import DeltaGeometry
 from coop_env.kinematics import delta, rrs
 from coop_env.physics.model import Machine
 from coop_env.physics.twin import make_model
-from coop_env.rendering.bodies import ROD_SPACING, bodies
+from coop_env.rendering.bodies import COLOURS, ROD_SPACING, bodies, pixels
+from coop_env.rendering.rasterizer import to_linear
 
 OWN = Machine(delta=DeltaGeometry(proximal_length=0.22, distal_length=0.48, base_height=0.9))
 
@@ -70,6 +71,14 @@ def test_glb_is_the_machine_at_home(tmp_path: Path) -> None:
     bounds = np.array([wanted.min(axis=0), wanted.max(axis=0)])
     assert scene.bounds == pytest.approx(bounds, abs=1e-6)
     assert set(scene.geometry) == {link.name for link in result}
+    colours = {
+        tuple(map(int, vertex[:3]))
+        for mesh in scene.geometry.values()
+        for vertex in np.unique(mesh.visual.vertex_colors, axis=0)
+    }
+    peg, aim = (pixels(tuple(to_linear(COLOURS[name]))) for name in ("peg", "target"))
+    assert peg in colours
+    assert aim not in colours
     for link in result:
         pose, _ = scene.graph[link.name]
         assert pose[:3, 3] == pytest.approx(upright @ link.position, abs=1e-6)

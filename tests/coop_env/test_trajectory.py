@@ -2,6 +2,7 @@
 
 import csv
 import sys
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -113,6 +114,20 @@ def test_blended_moves_pass_without_a_stop() -> None:
     assert (np.abs(blended.velocities[blended.stops[1:-1], :3]) > 0.2).all()
     back = make_trajectory([way[0], way[1], way[0]], blend=True)
     assert back.velocities[back.stops] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_blended_moves_may_take_a_time_that_stopping_ones_cannot() -> None:
+    way = HOME + np.outer(np.arange(5), [0.0, 0.0, -0.02, 0.0, 0.0, 0.0])
+    times = [n * TIMESTEP for n in range(30, 130)]
+    kept: list[list[float]] = []
+    for blend in (False, True):
+        kept.append([])
+        for move_time in times:
+            with suppress(TrajectoryError):
+                result = make_trajectory(way, blend=blend, move_time=move_time)
+                assert result.duration == pytest.approx(4 * move_time)
+                kept[-1].append(move_time)
+    assert min(kept[1]) < min(kept[0])
 
 
 def test_a_move_that_was_not_made_takes_no_time() -> None:

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ pytest.importorskip("ruckig", reason="ruckig is not installed (extra trajectory)
 
 from coop_env import InsertionTask
 from coop_env.errors import ArgumentError
+from coop_env.kinematics.delta import forward
 from coop_env.physics.driver import Driver, DriverError, Replayed, TwinDriver, replay
 from coop_env.physics.model import Machine
 from coop_env.trajectory import Trajectory, make_trajectory
@@ -115,6 +117,16 @@ def test_it_stops_at_limits() -> None:
     assert drive(Obedient(), max_moves=1).stopped == "no moves are left"
 
 
+def test_a_hole_is_filled_where_the_machine_is_and_not_where_it_was_sent() -> None:
+    """A Delta that ends most of a move too high."""
+    driver = Obedient(-9.0 * LAG)
+    result = drive(driver)
+    assert (result.stopped, result.filled) == ("filled", [0])
+    m = MACHINE
+    tip = forward(driver.at[:3], m.delta).position[2] + m.delta.base_height - m.delta.peg_length
+    assert abs(tip - m.rrs.home_heave - m.task.dome_radius) < m.task.tolerance
+
+
 def test_moves_that_are_not_free_are_not_commanded() -> None:
     driver = Obedient()
     wide = replace(MACHINE, task=replace(MACHINE.task, linear_step=0.2))
@@ -135,9 +147,13 @@ def test_a_machine_that_stops_answering() -> None:
     driver.force = over.wait  # type: ignore[method-assign]
     with pytest.raises(DriverError, match=r"wait within 1 s; its last command holds"):
         drive(driver, patience=1.0)
+    driver, first = Obedient(), driver
+    driver.force = partial(over.wait, None)  # type: ignore[method-assign]
+    with pytest.raises(DriverError, match="a call within 1"):
+        drive(driver, patience=1.0)
     over.set()
-    assert len(driver.commands) == 1
-    assert driver.at == pytest.approx(driver.commands[0].positions[-1])
+    assert len(first.commands) == 1
+    assert first.at == pytest.approx(first.commands[0].positions[-1])
 
 
 def test_a_machine_that_answers_nonsense() -> None:
@@ -147,6 +163,9 @@ def test_a_machine_that_answers_nonsense() -> None:
         drive(driver)
     driver.at = driver.at[:5]
     with pytest.raises(DriverError, match="must be 6 finite numbers"):
+        drive(driver)
+    driver.at = "here"  # type: ignore[assignment]
+    with pytest.raises(DriverError, match="answered 'here': must be 6 numbers"):
         drive(driver)
 
 
@@ -162,7 +181,7 @@ def test_an_error_of_the_driver_is_its_own() -> None:
     [
         ("mask_visited", 3), ("observation", "markov"), ("target", 6), ("target", -1), ("holes", 0),
         ("holes", 7), ("force_limit", -1), ("error_limit", float("nan")), ("patience", "a"),
-        ("max_moves", 0),
+        ("max_moves", 0), ("geometry", "initial"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused_before_a_command(name: str, wrong: Any) -> None:

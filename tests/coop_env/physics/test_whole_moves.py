@@ -107,6 +107,22 @@ def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
     assert not info["violation"]
 
 
+@pytest.mark.parametrize("answer", [3, "a", [[0.0] * 6], [np.nan] * 6])
+def test_a_finish_that_answers_nonsense_is_named(answer: Any) -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(finish=lambda seen: answer)
+    env.reset(seed=0, options=above(3, 0.025))
+    with pytest.raises(ActionError, match=r"finish gave .*: must be 6 increments"):
+        env.step(DOWN)
+    assert not env.running
+
+
+def test_what_is_observed_is_of_the_space() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(privileged=True)
+    seen: Any = env.reset(seed=0)[0]
+    assert env.observation_space.contains(env.observe())
+    np.testing.assert_array_equal(env.observe()["observation"], seen["observation"])
+
+
 def test_a_hole_that_is_not_filled_is_given_up_and_the_last_one_ends_the_episode() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(finish=push)
     with pytest.raises(ResetNeeded):
