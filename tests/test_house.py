@@ -3,7 +3,7 @@
 import ast
 import configparser
 import re
-from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -57,21 +57,22 @@ def _sources() -> dict[str, Path]:
 SOURCES = _sources()
 
 
-def _imports(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+@cache  # not at the import: every worker collects this file, one runs it
+def _imports(name: str) -> frozenset[str]:
+    """What a module imports, wherever in it."""
+    result: set[str] = set()
+    for node in ast.walk(ast.parse(SOURCES[name].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            result.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-
-
-IMPORTS = {name: {*_imports(path)} for name, path in SOURCES.items()}
+            result.add(node.module)
+            result.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return frozenset(result)
 
 
 def _imported_modules(name: str) -> set[str]:
     """Modules of this house that a module imports, wherever in it; not the packages around them."""
-    named = {target for target in IMPORTS[name] if target in SOURCES}
+    named = {target for target in _imports(name) if target in SOURCES}
     packages = {target for target in named if SOURCES[target].name == "__init__.py"}
     return {
         target
@@ -118,7 +119,7 @@ def test_rooms_keep_to_themselves(prefix: str) -> None:
     wrong = [
         f"{name} imports {target}"
         for name in modules
-        for target in sorted(IMPORTS[name])
+        for target in sorted(_imports(name))
         for bad in FORBIDDEN[prefix]
         if _is_within(target, bad) and (name, bad) != ALLOWED
     ]
