@@ -38,8 +38,9 @@ test: lint type pytest ## Lint, types, tests (SLOW=1: also those of over ten sec
 
 # The exact figures and the kernels that the tests ask for are those of the CPU, on a machine with a GPU too.
 # One worker more than cores: some tests wait. Files go out in the order of tests/conftest.py.
+CORES := $(shell env -u OMP_NUM_THREADS nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)
 pytest: $(STAMP) ## Tests alone
-	@CUDA_VISIBLE_DEVICES= $(BIN)/python -m pytest -q -n $$(($$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) + 1)) \
+	@CUDA_VISIBLE_DEVICES= $(BIN)/python -m pytest -q -n $$(($(CORES) + 1)) \
 	  --dist loadfile --no-loadscope-reorder --max-worker-restart 0 $(if $(SLOW),,-m "not slow")
 
 examples: $(STAMP) ## Every block of README and docs whole, its score as the page prints it: half an hour, weekly

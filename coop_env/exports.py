@@ -90,7 +90,7 @@ def links(machine: Machine | None = None) -> list[Link]:
 def save_stl(folder: str | Path, machine: Machine | None = None, unit: str = "m") -> list[Path]:
     """Write a binary STL of each link, in its own frame, in ``"m"`` or ``"mm"``; returns the paths.
 
-    The platform's dome and bores are open shells, the other links are closed.
+    The platform's dome, rings and bores are open shells, the other links are closed.
 
     Raises:
         ArgumentError: the unit is neither.

@@ -103,6 +103,8 @@ def load_stored(path: Path) -> Any:
         model = build_small(build(Preset, data, f"{path.parent}: config.yaml"), cell)
         set_weights(model, path)
         exploring = float(_plain_settings(path).get("exploration_rate", 0.0))
+    except BenchmarkError:
+        raise
     except (
         *(AttributeError, KeyError, TypeError, ValueError),
         *(RuntimeError, EOFError, zipfile.BadZipFile),

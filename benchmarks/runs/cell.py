@@ -1,6 +1,5 @@
 """One cell of an experiment from start to end. Runs in a process of its own, or in this one."""
 
-import hashlib
 import json
 import os
 import pkgutil
@@ -15,7 +14,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import Cell
 from benchmarks.runs import machine
 from benchmarks.runs.experiment import Experiment, StopRequested
-from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.store import RunFolder, Store, digest
 
 
 class Stopped(Exception):
@@ -106,11 +105,6 @@ def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment, Store]:
     return experiment, Store(folder.parent, folder.name)
 
 
-def digest(settings: Mapping[str, Any]) -> str:
-    """SHA-256 of a cell's settings."""
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
-
-
 def check_gpu(device: str | None) -> None:
     """Raise BenchmarkError if networks are to live on a GPU and there is none."""
     if device == "cuda":
@@ -126,7 +120,8 @@ def run_here(
 ) -> int:  # fmt: skip
     """Run one cell in this process and say how it ended; returns the command's exit code.
 
-    ``admitted`` is the :func:`digest` of the settings that the harness has looked at.
+    ``admitted`` is the :func:`~benchmarks.runs.store.digest` of the settings that the harness has
+    looked at.
     """
     caught: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):

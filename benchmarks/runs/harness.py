@@ -21,7 +21,7 @@ from benchmarks.runs import cell as cells
 from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job
 from benchmarks.runs.costs import duration
 from benchmarks.runs.experiment import Experiment
-from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.store import RunFolder, Store, digest
 
 POLL_SECONDS: Final = 0.3
 PER_SECOND: Final = 2  # times that a bar is drawn
@@ -158,7 +158,7 @@ class Harness:
         argv = [
             *cells.argv(self.experiment, self.store),
             *("--cell", cell.id, "--device", self.device),
-            *("--settings", cells.digest(self.experiment.settings(cell))),
+            *("--settings", digest(self.experiment.settings(cell))),
             # the process of a harness that was killed may still be saving
             *("--wait", f"{GRACE_SECONDS:g}"),
         ]

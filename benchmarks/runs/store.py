@@ -95,12 +95,23 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """``key: old -> new`` of the settings that two runs do not share."""
     if old == new:
         return []
-    flat, other = (pd.json_normalize(dict(c)).to_dict("records")[0] for c in (old, new))
+    flat, other = map(_decisive, (old, new))
     return [
         f"{key}: {flat.get(key, 'absent')} -> {other.get(key, 'absent')}"
-        for key in sorted(map(str, flat.keys() | other.keys()))
-        if flat.get(key) != other.get(key) and key not in WORDS
+        for key in sorted(flat.keys() | other.keys())
+        if flat.get(key) != other.get(key)
     ]
+
+
+def digest(settings: Mapping[str, Any]) -> str:
+    """SHA-256 of settings, as far as they decide a result."""
+    return hashlib.sha256(json.dumps(_decisive(settings), sort_keys=True).encode()).hexdigest()
+
+
+def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by their keys with dots, without those that decide no result."""
+    flat = pd.json_normalize(dict(settings)).to_dict("records")[0]
+    return {str(key): value for key, value in flat.items() if key not in WORDS}
 
 
 @lru_cache(maxsize=10_000)  # problems, tables, figures and pages ask for the same files in turn

@@ -196,11 +196,11 @@ def search(
     for left in run.get_trials(states=(TrialState.RUNNING,)):
         run.tell(left.number, state=TrialState.FAIL)  # its design is proposed again
     while True:
-        kept = [trial.user_attrs for trial in run.get_trials()]
-        rows = [of["row"] for of in kept if "row" in of]
+        rows = [t.user_attrs["row"] for t in run.get_trials(states=(TrialState.COMPLETE,))]
         skipped = dict(Counter(run.user_attrs.values()))
         if len(rows) >= designs:
-            return rows, skipped, sum(of.get("seconds", 0.0) for of in kept)
+            seconds = sum(t.user_attrs.get("seconds", 0.0) for t in run.get_trials())
+            return rows, skipped, seconds
         tick(len(rows) / designs)
         number = len(rows) + sum(skipped.values())
         # of its own for each: what is proposed depends on the designs before it alone
@@ -242,7 +242,7 @@ class Codesign(Study):
         self.run_folder.begin({"geometry": BASE, "bounds": [], **self.asked})
         self.rows: list[dict[str, Any]] = []
         self.studies: dict[str, Any] = {}
-        self.seconds = 0.0  # of the scores, over all calls
+        self.seconds = 0.0  # of the searches over all calls, of the named designs in the last
 
     def parts(self) -> dict[str, Part]:
         if (self.folder / "codesign.json").is_file():

@@ -134,8 +134,9 @@ def replay(
 ) -> Replayed:
     """Let a policy of the kinematic task drive a machine, move by move, by what it reports.
 
-    The measured joints give the configuration, and that observation, masks and whether a hole is
-    filled. A move is commanded only if it is valid and its whole way is free.
+    The measured joints give the configuration, and that observation and masks. A hole is filled
+    where commanded and measured joints both meet the criterion. A move is commanded only if it is
+    valid and its whole way is free.
 
     Args:
         policy: from observation and action masks to an action.

@@ -225,9 +225,11 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         """Make the move on the twin, and write what a kernel would."""
         body, row = self.physics, self._states[0]
         filled, was_inside = body.filled[0].copy(), row["inside"].astype(bool)
-        self._started = False  # until the machine has moved: a finish may raise
-        violation = not self._move(int(self._actions[0]))
-        self._started = True
+        try:
+            violation = not self._move(int(self._actions[0]))
+        except BaseException:  # of a finish, half-way
+            self._started = False
+            raise
         new = body.filled[0] & ~filled
         duplicate = not violation and bool(
             (row["inside"].astype(bool) & filled & ~was_inside).any()

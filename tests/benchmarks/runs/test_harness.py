@@ -25,7 +25,7 @@ from benchmarks.runs.backends import Backend, Job
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.harness import Harness, Outcome, bar, check_disk
-from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.store import RunFolder, Store, digest
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.conftest import Command
 from tests.benchmarks.runs.warm import Forked, wait_for
@@ -133,6 +133,13 @@ def test_a_preset_that_was_edited_meanwhile_is_not_run_under_its_old_name(tmp_pa
     outcome = Harness(one, store, Editing(1), Console(file=io.StringIO())).run()
     assert [*outcome.failed] == ["greedy-optimized-safe-s0"]
     assert "'odd' was edited after the run began" in store.run(*outcome.failed).log.read_text()
+
+
+def test_a_digest_is_of_what_decides_a_result() -> None:
+    settings = {"track": {"description": "a", "timesteps": 3}, "seeds": [1, 2]}
+    told = {**settings, "track": {"timesteps": 3, "description": "b"}}
+    longer = {**settings, "track": {"description": "a", "timesteps": 4}}
+    assert digest(settings) == digest(told) != digest(longer)
 
 
 class FakeJob(Job):

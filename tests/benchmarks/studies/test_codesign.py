@@ -15,6 +15,8 @@ from scipy.stats import spearmanr
 
 pytest.importorskip("optuna", reason="the extra 'tune' is not installed")
 
+import optuna
+
 from benchmarks.cli import main
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies import codesign
@@ -99,12 +101,23 @@ def test_a_search_that_was_cut_off_is_the_one_that_was_not(
         success, ticks = 100.0 * math.sin(values["lambda1"]), 10.0 * values["lambda2"]
         return {"design": name, **values, "success": success, "ticks": ticks}
 
+    tell: Any = optuna.Study.tell
+
+    def cut_off(self: Any, trial: Any, values: Any = None, **more: Any) -> Any:
+        if values is not None:
+            raise KeyboardInterrupt
+        return tell(self, trial, **more)
+
     def rows(folder: str, *cuts: int) -> Any:
         (tmp_path / folder).mkdir()
         for end in (*cuts, None):
             left = [] if end is None else [*end * [mock.DEFAULT], KeyboardInterrupt]
             spy = mock.Mock(wraps=score, side_effect=left or None)
             monkeypatch.setattr(codesign, "score", spy)
+            if end == 3:  # and once between a design's row and its end
+                with monkeypatch.context() as patch, suppress(KeyboardInterrupt):
+                    patch.setattr(optuna.Study, "tell", cut_off)
+                    codesign.search(tmp_path / folder, "lambdas", 70.0, 20, 1, lambda share: None)
             with suppress(KeyboardInterrupt):
                 return codesign.search(
                     tmp_path / folder, "lambdas", 70.0, 20, 1, lambda share: None
@@ -115,7 +128,9 @@ def test_a_search_that_was_cut_off_is_the_one_that_was_not(
 
     monkeypatch.setattr(codesign, "POPULATION", 4)
     monkeypatch.setattr(codesign, "build", lambda values: values)
-    assert rows("cut", 2, 5, 3) == rows("whole")
+    (cut, skipped, seconds), whole = rows("cut", 2, 5, 3), rows("whole")
+    assert (cut, skipped) == whole[:2]
+    assert seconds == whole[2] + 1  # of the design that was scored twice
 
 
 @pytest.mark.slow

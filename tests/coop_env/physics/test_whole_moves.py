@@ -116,6 +116,17 @@ def test_a_finish_that_answers_nonsense_is_named(answer: Any) -> None:
     assert not env.running
 
 
+def test_a_finish_may_look_at_its_environment() -> None:
+    def finish(seen: np.ndarray) -> np.ndarray:
+        assert env.running
+        assert env.observation_space.contains(env.observe())
+        return push(seen)
+
+    env = CoopInsertionPhysicsDiscreteEnv(finish=finish)
+    env.reset(seed=0, options={**above(3, 0.025), "error": [0.0005, 0.0, 0.01, 0.0]})
+    assert env.step(DOWN)[-1]["inserted"]
+
+
 def test_what_is_observed_is_of_the_space() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(privileged=True)
     seen: Any = env.reset(seed=0)[0]
