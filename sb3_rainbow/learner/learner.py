@@ -154,9 +154,7 @@ class Learner:
 
 
 def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
-    """Convert a sample of any replay buffer to a batch; ``gamma`` serves those without discounts,
-    and masks count with ``masking`` alone.
-    """
+    """A sample of any buffer as a batch; ``gamma`` if it has no discounts, masks if ``masking``."""
     discounts, weights = (getattr(samples, name, None) for name in ("discounts", "weights"))
     n = len(samples.rewards)
     return Batch(

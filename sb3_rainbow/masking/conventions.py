@@ -61,14 +61,11 @@ class TerminalActionMask(gym.Wrapper):
 
 
 def capture_terminal_masks(env: VecEnv) -> None:
-    """Wrap the envs of a ``DummyVecEnv`` in :class:`TerminalActionMask` where they have masks.
-
-    Not below a ``VecEnvWrapper`` with an ``env_method`` of its own, which may change them.
-    """
+    """Wrap the envs of a ``DummyVecEnv`` in :class:`TerminalActionMask` where they have masks."""
     inner = env.unwrapped
     while isinstance(env, VecEnvWrapper):
         if type(env).env_method is not VecEnvWrapper.env_method:
-            return
+            return  # it may change the masks, those of a last state too
         env = env.venv
     if not isinstance(inner, DummyVecEnv) or not is_masking_supported(inner):
         return

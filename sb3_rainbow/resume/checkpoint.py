@@ -45,9 +45,7 @@ def is_checkpoint(path: str | os.PathLike[str]) -> bool:
 
 
 def get_rng_state(action_space: spaces.Space) -> dict[str, Any]:
-    """States of Python's, numpy's and torch's global generators and of the model's action space,
-    from which the warm-up draws; picklable.
-    """
+    """States of all global random generators and of the model's action space, for the warm-up."""
     return {
         "python": random.getstate(),
         "numpy": np.random.get_state(),  # noqa: NPY002
