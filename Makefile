@@ -13,6 +13,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 # One thread per process: the harness and pytest-xdist use the cores by processes.
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
+# The many processes that tests start read what the first of them has compiled.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help env results test pytest examples lint type format docs figures dist clean
 .DEFAULT_GOAL := help

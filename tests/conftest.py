@@ -10,8 +10,12 @@ settings.register_profile(
 settings.load_profile("steady")
 
 
+# One worker compiles the kernels while the others do what needs none.
+FIRST = ("test_kill.py", "test_docs.py", "test_verify.py")
+
+
 @pytest.hookimpl(tryfirst=True)  # before the slow ones may be left out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests come first: the short ones then fill the end of all workers."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: (item.path.name not in FIRST, item.path not in slow))

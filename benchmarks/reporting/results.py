@@ -6,9 +6,10 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from operator import attrgetter
-from typing import Any, ClassVar, Final, NamedTuple, Self
+from pathlib import Path
+from typing import Any, ClassVar, Final, NamedTuple, Self, cast
 
 import pandas as pd
 
@@ -52,12 +53,11 @@ class Result:
 
     @classmethod
     def read(cls, folder: RunFolder) -> Self:
-        """A run from its folder; BenchmarkError where it is damaged or of another schema."""
-        folder.meta()
-        rows = folder.rows("episodes", *cls.need["episodes"])
-        if "masks" in rows:  # older runs were also played under other masks than their own
-            rows = rows[rows["masks"].fillna("own") == "own"].drop(columns="masks")
-        return cls(folder.config(), folder, rows)
+        """A run from its folder; BenchmarkError where it is damaged or of another schema.
+
+        It is shared by all who read the same files, and not to be written to.
+        """
+        return cast(Self, _read(cls, folder.path, folder.versions()))  # type: ignore[arg-type]
 
     @property
     def seed(self) -> int:
@@ -95,6 +95,16 @@ class Result:
             level = Level(float(str(noise)), float(str(error)), str(acting))
             result[level] = part.reset_index(drop=True)
         return result
+
+
+@lru_cache(maxsize=10_000)  # problems, tables, figures and pages ask for the same runs in turn
+def _read(kind: type[Result], path: Path, versions: tuple[object, ...]) -> Result:
+    folder = RunFolder(path)
+    folder.meta()
+    rows = folder.rows("episodes", *kind.need["episodes"])
+    if "masks" in rows:  # older runs were also played under other masks than their own
+        rows = rows[rows["masks"].fillna("own") == "own"].drop(columns="masks")
+    return kind(folder.config(), folder, rows)
 
 
 @dataclass(frozen=True)

@@ -119,6 +119,11 @@ def _parsed(path: Path, parse: Callable[[Path], Any], version: tuple[int, ...]) 
     return parse(path)
 
 
+def _version(path: Path) -> tuple[int, ...]:
+    now = path.stat()
+    return now.st_ino, now.st_size, now.st_mtime_ns
+
+
 def _mapping(parse: Callable[[str], Any], part: str, path: Path) -> dict[str, Any]:
     if not isinstance(data := parse(path.read_text(encoding="utf-8")), dict):
         raise ValueError("no mapping")
@@ -149,6 +154,11 @@ class RunFolder:
     def has_policy(self) -> bool:
         """Whether the run is complete and its policy is here: not every one is kept in git."""
         return self.is_complete() and self.policy.is_file()
+
+    def versions(self) -> tuple[object, ...]:
+        """What changes whenever one of the files does."""
+        files = (path for path in sorted(self.path.glob("*")) if path.is_file())
+        return tuple((path.name, *_version(path)) for path in files)
 
     def policy_digest(self) -> str:
         """SHA-256 of the policy's file, which meta.json keeps as ``training.policy_sha256``."""
@@ -206,9 +216,8 @@ class RunFolder:
     def _read(self, name: str, parse: Callable[[Path], Any]) -> Any:
         path = self.path / name
         try:
-            now = path.stat()
-            kept = _parsed(path, parse, (now.st_ino, now.st_size, now.st_mtime_ns))
-            return copy.deepcopy(kept)  # whoever asked may change it
+            # whoever asked may change it
+            return copy.deepcopy(_parsed(path, parse, _version(path)))
         except (OSError, ValueError, yaml.YAMLError) as error:
             raise BenchmarkError(
                 f"{path} cannot be read ({error}); delete {self.path} and run the preset again"
