@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from benchmarks.protocol import labels
+from benchmarks.protocol.metrics import HOLES
 from benchmarks.protocol.paper_values import ABLATION as PRINTED_ABLATION
 from benchmarks.protocol.paper_values import GEOMETRY_ABLATION, PERFORMANCE, TRAINING_STEPS
 from benchmarks.reporting.compared import Comparison, Question, comparisons, differences, find
@@ -20,7 +21,7 @@ from benchmarks.reporting.tables.paper import best_under_noise
 SIGNIFICANCE: Final = 0.05  # of a difference over seeds, after Holm: the field's custom
 SUCCESS_LEAST: Final = 93.0  # %: the paper's mean less its standard deviation
 SCRIPT_POINTS: Final = 25.0  # above the best script under the same masks
-EQUAL: Final = 5.0  # points: two methods whose difference surely lies within are equally good
+EQUAL: Final = 5.0  # points: two methods whose difference surely lies within succeed as often
 LEARNS: Final = 50.0  # %: from half of the episodes on a method counts as having learned the task
 
 BETTER, SAME, WORSE = "better", "same", "worse"
@@ -74,10 +75,10 @@ def outcome(comparison: Comparison) -> str:
 def as_well(comparison: Comparison) -> str:
     """Whether theirs does better, or as well, which takes more than a lack of significance."""
     if outcome(comparison) == WORSE:
-        return "better than Rainbow"
+        return "succeeds more often than Rainbow"
     difference = comparison.difference
     equal = difference.low > -EQUAL and difference.high < EQUAL
-    return "as good as Rainbow" if equal else ""
+    return "succeeds as often as Rainbow" if equal else ""
 
 
 def ground(row: Group) -> str:
@@ -109,7 +110,9 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
         if ground(rival.theirs):
             continue
         if as_good := as_well(rival):
-            said += f" {rival.theirs.title} is {as_good}{_but_greedily(rival, compared)}."
+            holes, mine = (row.value(HOLES).mean for row in (rival.theirs, ours))
+            said += f" {rival.theirs.title} {as_good} (holes per episode {holes:.2f}, Rainbow "
+            said += f"{mine:.2f}){_but_greedily(rival, compared)}."
         elif outcome(rival) == SAME:
             above = _above(rival.difference)
             corrected = "after the correction for all learners " * (rival.p < SIGNIFICANCE)
@@ -165,8 +168,8 @@ def under_noise(results: Results, greedy: Group) -> str:
     ours = greedy.at(chosen.level)
     lead = measured(differences(Question.CONTROL, ours, chosen)).signed(" points")
     return (
-        f" With noise of {chosen.level.noise:g} on what it observes, the best script "
-        f"({chosen.title}) reaches {_rate(chosen)}, Rainbow {_rate(ours)} ({lead})."
+        f" With noise of {chosen.level.noise:g} on what it observes, where scripts do best, the "
+        f"best script ({chosen.title}) reaches {_rate(chosen)}, Rainbow {_rate(ours)} ({lead})."
     )
 
 
