@@ -57,8 +57,8 @@ class CoopInsertionEnv(Rendered):
     **Observation Space**
 
     ``Box(0, 1, (12,), float32)``, or ``(19,)`` with ``observation="markov"``. Each field is scaled
-    from its bounds to [0, 1] and clipped. ``normalize=False`` leaves SI units. The bounds follow
-    the geometry.
+    from its bounds to [0, 1] and clipped. ``normalize=False`` leaves SI units, unclipped. The
+    bounds follow the geometry.
 
     =======  ==========================================================  =======  =================
     Field    Meaning                                                     Least    Largest

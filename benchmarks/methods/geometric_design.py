@@ -49,8 +49,8 @@ def table_rows(result: Sequence[DesignRun]) -> list[Row]:
         "is 0.15 by definition, so the paper must have meant another set.",
         "tilt": "",
         "condition": "Condition number variation: standard deviation over mean in the workspace. "
-        "It does not come out: both workspaces end where sigma_min = 0.15, so the rim has the same "
-        "large kappa in both, and the larger workspace has the longer rim. Over the fixed cone of "
+        "It does not come out: both workspaces mostly end near sigma_min = 0.15, where kappa is as "
+        "large in both, and the larger workspace has the longer rim. Over the fixed cone of "
         f"28° it falls from {cone[0]:.0f} to {cone[1]:.0f} %.",
         "joint_range": "Joint angle range: does not come out. The optimized design tilts further, "
         "so it uses more of its joints' travel, not less, and both limits bound its workspace; the "

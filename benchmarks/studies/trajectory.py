@@ -129,14 +129,14 @@ def table(rows: pd.DataFrame) -> str:
     for (method, kind), all_of in rows.groupby(["method", "kind"], sort=False):
         done = all_of[all_of["moves_first"] > 0]
         mean, error = done.mean(numeric_only=True), done["error"]
-        free, soft = (done["blocked_first"] == 0).sum(), (done["force"] <= FORCE_LIMIT).sum()
-        inserted = done["inserted"].astype(bool).sum()
+        free, inserted = (done["blocked_first"] == 0).sum(), done["inserted"].astype(bool)
+        soft = inserted & (done["force"] <= FORCE_LIMIT)
         lines.append(
             [
                 *(str(method), str(kind), f"{len(done)} of {len(all_of)}"),
                 *_lengths(mean["moves_first"], mean["seconds_first"]),
                 *(f"{free}", f"{error.median():.1f} / {error.max():.1f}"),
-                *(f"{done['torque'].max():.1f}", f"{inserted}", f"{soft}"),
+                *(f"{done['torque'].max():.1f}", f"{inserted.sum()}", f"{soft.sum()}"),
                 " / ".join(_lengths(mean["moves"], mean["seconds"])[1:]),
             ]
         )
@@ -144,7 +144,7 @@ def table(rows: pd.DataFrame) -> str:
         "To the first insertion, and the whole episode",
         "method | trajectory | starts with an insertion | moves to it | s by moves | s | "
         "ways free | error, mrad: median / largest peak | peak torque, N m | "
-        f"inserted on the twin | at most {FORCE_LIMIT:.0f} N | episode: s by moves / s",
+        f"inserted on the twin | and at most {FORCE_LIMIT:.0f} N | episode: s by moves / s",
         lines,
     )
 

@@ -309,9 +309,8 @@ def forward(
     angles of ``previous`` ``(..., 3)`` and tracks the pose by Newton's method, in steps short
     enough that it contracts, with det A kept on its side. Where the branch ends on the way, in a
     parallel singularity, it says ``converged=False`` and gives NaN. A long step can pass over a gap
-    in which no pose of the branch closes the limbs (6 of 3,748 random walks that converged): give
-    waypoints. The residual is the largest error of a distal link's closing, m; where it did not
-    converge, at the last pose on the branch.
+    in which no pose of the branch closes the limbs: give waypoints. The residual is the largest
+    error of a distal link's closing, m; where it did not converge, at the last pose on the branch.
 
     >>> home = [0.0, 0.0, 0.21]
     >>> found = forward(inverse([0.2, -0.1, 0.23]).q, home)

@@ -45,3 +45,13 @@ def test_the_tables_follow_from_the_rows(site: Any) -> None:
     pairs = done.pivot(index=["method", "start"], columns="kind", values="seconds_first")
     assert (pairs["blended"] <= pairs["stop-and-go"] + 1e-9).all()
     assert (done["seconds_first"] <= done["seconds"] + 1e-9).all()
+
+
+def test_only_what_inserts_counts_as_inserted_softly() -> None:
+    """Beside the hole nothing presses, so a way that missed would look gentle."""
+    rows = pd.DataFrame(
+        {"method": "optimum", "kind": "blended", "start": range(4), "moves_first": [9, 9, 9, 0],
+         "moves": 20, **dict.fromkeys(trajectory.KEYS, 1.0), "blocked_first": 0,
+         "inserted": [True, True, False, False], "force": [10.0, 90.0, 10.0, 0.0]}
+    )  # fmt: skip
+    assert "| 2 | 1 |" in " ".join(trajectory.table(rows).split())
