@@ -57,13 +57,6 @@ def test_tolerances_widen_the_spread_and_repeat_by_seed() -> None:
         design.over_heaves(OPTIMIZED, 0.2)  # type: ignore[arg-type]
 
 
-def test_a_grid_that_does_not_hold_the_cone_has_no_figures_of_it() -> None:
-    for problem in (DesignProblem(extent=0.2), DesignProblem(cells=2)):
-        result = design.measure(OPTIMIZED, problem)
-        assert math.isnan(result.sigma_cone)
-        assert math.isnan(result.kappa_variation_cone)
-
-
 def test_the_trajectory_begins_at_the_designs_own_home() -> None:
     higher = replace(OPTIMIZED, heave_min=0.225, heave_max=0.26, home_heave=0.225)
     report = design.validate(higher)

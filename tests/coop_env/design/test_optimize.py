@@ -48,28 +48,17 @@ def test_a_search_cut_short_says_so() -> None:
         assert cut.value >= cut.start_value
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("max_evaluations", 0),
-        ("simplex", math.inf),
-        ("start", (1.5, 1.5, 1.0)),
-        ("start", "ab"),
-        ("seed", -1),
-        ("constraints", math.sin),
-    ],
-)
-def test_impossible_arguments_of_a_search_are_named(name: str, value: Any) -> None:
-    with pytest.raises(DesignError, match=name):
-        design.optimize(COARSE, **{name: value})
-    if name in ("seed", "constraints"):
-        with pytest.raises(DesignError, match=name):
-            design.optimize_globally(COARSE, **{name: value})
-
-
-def test_impossible_lists_are_named() -> None:
-    with pytest.raises(DesignError, match="population"):
-        design.optimize_globally(COARSE, population=0)
+def test_impossible_arguments_are_named() -> None:
+    of_both: dict[str, Any] = {"seed": -1, "constraints": math.sin}
+    of_one = {"max_evaluations": 0, "simplex": math.inf, "start": (1.5, 1.5, 1.0)}
+    for search, arguments in (
+        (design.optimize, of_both | of_one),
+        (design.optimize, {"start": "ab"}),
+        (design.optimize_globally, of_both | {"population": 0}),
+    ):
+        for name, value in arguments.items():
+            with pytest.raises(DesignError, match=name):
+                search(COARSE, **{name: value})  # type: ignore[operator]
     with pytest.raises(DesignError, match=r"lambda1 = 1\.5: must be a list of numbers"):
         design.atlas(COARSE, 1.5, [1.5])  # type: ignore[arg-type]
     with pytest.raises(DesignError, match=r"heaves = 0\.2: must be a list"):
@@ -107,13 +96,10 @@ def test_a_start_without_workspace_is_an_error_not_a_flat_optimum() -> None:
         design.optimize(DesignProblem(heaves=(0.5,)))
     with pytest.raises(DesignError, match="objective 0"):
         design.optimize_globally(DesignProblem(threshold=5.0), population=2, generations=1)
-
-
-def test_the_global_search_needs_no_workspace_of_the_initial_design() -> None:
-    problem = DesignProblem(eta=0.2, distal_length=0.36, heaves=(0.46,), cells=30)
+    elsewhere = DesignProblem(eta=0.2, distal_length=0.36, heaves=(0.46,), cells=30)
     with pytest.raises(DesignError, match="objective 0"):
-        design.optimize(problem)
-    assert design.optimize_globally(problem, population=8, generations=3).value > 0.5
+        design.optimize(elsewhere)
+    assert design.optimize_globally(elsewhere, population=8, generations=3).value > 0.5
 
 
 @pytest.mark.parametrize(
@@ -144,9 +130,6 @@ def test_another_designers_objective_and_constraint() -> None:
     assert result.geometry.base_radius <= 0.2
     with pytest.raises(DesignError, match="breaks a constraint"):
         design.optimize(COARSE, constraints=[lambda g: 0.1 - g.base_radius])
-
-
-def test_an_objective_that_is_not_finite_is_named() -> None:
     with pytest.raises(DesignError, match="objective is nan"):
         design.optimize(COARSE, objective=lambda *_: math.nan)
 
