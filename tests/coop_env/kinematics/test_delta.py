@@ -7,13 +7,9 @@ from hypothesis import strategies as st
 
 from coop_env.geometry import DELTA, DeltaGeometry, GeometryError
 from coop_env.kinematics import delta, delta_kernels
-from tests.coop_env.kinematics.reference import RADIAL
+from tests.coop_env.kinematics.reference import FOLDING, RADIAL
 
 OTHER = DeltaGeometry(base_radius=0.2, effector_radius=0.05, proximal_length=0.3, distal_length=0.7)
-# whose limbs also reach places above its knees' plane, within the paper's bounds
-FOLDING = DeltaGeometry(
-    base_radius=0.233, effector_radius=0.044, proximal_length=0.205, distal_length=0.313
-)
 
 
 def _reached(g: DeltaGeometry, seed: int) -> np.ndarray:
@@ -66,16 +62,13 @@ def test_valid_places_are_those_that_home_leads_to(geometry: DeltaGeometry) -> N
 
 def test_links_have_their_lengths_and_knees_point_out() -> None:
     points = _positions(2000, seed=1)
-    limbs = delta.limb_points(points)
-    proximal = np.linalg.norm(limbs[..., 1, :] - limbs[..., 0, :], axis=-1)
-    distal = np.linalg.norm(limbs[..., 2, :] - limbs[..., 1, :], axis=-1)
+    base, knee, wrist = np.moveaxis(delta.limb_points(points), 2, 0)
+    chord, to_knee = wrist - base, knee - base
+    proximal, distal = (np.linalg.norm(link, axis=-1) for link in (to_knee, wrist - knee))
     np.testing.assert_allclose(proximal, DELTA.proximal_length, atol=1e-12)
     np.testing.assert_allclose(distal, DELTA.distal_length, atol=1e-12)
     # of the two knees that close a limb, the one further out
-    chord = limbs[..., 2, :] - limbs[..., 0, :]
-    to_knee = limbs[..., 1, :] - limbs[..., 0, :]
-    radial = np.einsum("nia,ia->ni", chord, RADIAL)
-    knee_radial = np.einsum("nia,ia->ni", to_knee, RADIAL)
+    radial, knee_radial = (np.einsum("nia,ia->ni", way, RADIAL) for way in (chord, to_knee))
     outward = knee_radial * -chord[..., 2] + to_knee[..., 2] * radial
     assert (outward > -1e-12).all()
 
@@ -84,16 +77,11 @@ def test_jacobian_is_the_derivative_of_the_inverse() -> None:
     points = _positions(500, seed=3)
     points = points[delta.limb_margin(points).min(axis=-1) > 0.05]
     h = 1e-4
-    numeric = np.empty((len(points), 3, 3))
-    for k in range(3):
-        step = np.zeros(3)
-        step[k] = h
-        ahead, behind = delta.inverse(points + step).theta, delta.inverse(points - step).theta
-        far, near = delta.inverse(points + 2 * step).theta, delta.inverse(points - 2 * step).theta
-        numeric[:, :, k] = (8 * (ahead - behind) - (far - near)) / (12 * h)
-    np.testing.assert_allclose(
-        delta.jacobian(points), DELTA.proximal_length * numeric, atol=1e-6, rtol=1e-6
-    )
+    weights = np.array([1.0, -8.0, 8.0, -1.0]) / (12.0 * h)
+    steps = h * np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.eye(3)
+    theta = delta.inverse(points[:, None, None] + steps).theta
+    numeric = DELTA.proximal_length * np.einsum("j,njki->nik", weights, theta)
+    np.testing.assert_allclose(delta.jacobian(points), numeric, atol=1e-6, rtol=1e-6)
     values = np.linalg.svd(delta.jacobian(points), compute_uv=False)
     np.testing.assert_allclose(np.abs(delta.signed_sigma_min(points)), values[:, 2], rtol=1e-12)
     np.testing.assert_allclose(delta.condition_number(points), values[:, 0] / values[:, 2])
