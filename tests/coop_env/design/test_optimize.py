@@ -53,16 +53,17 @@ def test_a_search_cut_short_says_so() -> None:
 
 
 def test_impossible_arguments_are_named() -> None:
-    of_both: dict[str, Any] = {"seed": -1, "constraints": math.sin}
+    of_both = {"seed": -1, "constraints": math.sin}
     of_one = {"max_evaluations": 0, "simplex": math.inf, "start": (1.5, 1.5, 1.0)}
-    for search, arguments in (
+    searches: list[tuple[Any, dict[str, Any]]] = [
         (design.optimize, of_both | of_one),
         (design.optimize, {"start": "ab"}),
         (design.optimize_globally, of_both | {"population": 0}),
-    ):
+    ]
+    for search, arguments in searches:
         for name, value in arguments.items():
             with pytest.raises(DesignError, match=name):
-                search(COARSE, **{name: value})  # type: ignore[operator]
+                search(COARSE, **{name: value})
     with pytest.raises(DesignError, match=r"lambda1 = 1\.5: must be a list of numbers"):
         design.atlas(COARSE, 1.5, [1.5])  # type: ignore[arg-type]
     with pytest.raises(DesignError, match=r"heaves = 0\.2: must be a list"):
