@@ -3,7 +3,7 @@
 import csv
 import sys
 from contextlib import suppress
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from coop_env.errors import ArgumentError
 from coop_env.geometry import DELTA, OPTIMIZED, DeltaGeometry, GeometryError
 from coop_env.kinematics import delta, rrs
 from coop_env.trajectory import JOINTS, TIMESTEP, Trajectory, TrajectoryError, make_trajectory
+from tests.coop_env.kinematics.reference import FOLDING
 
 SLOW = DeltaGeometry(max_joint_velocity=0.5, max_joint_acceleration=3.0, max_joint_jerk=90.0)
 HOME = np.array([0.0, 0.0, -0.35, 0.0, 0.0, 0.23])
@@ -38,12 +39,6 @@ def walk(seed: int, moves: int) -> np.ndarray:
         env.step(rng.choice(np.flatnonzero(env.action_masks())))
         result.append(env.configuration)
     return np.array(result)
-
-
-def angles(configurations: np.ndarray) -> np.ndarray:
-    """Joints (n, 6) by the kinematics."""
-    theta = delta.inverse(configurations[:, :3]).theta
-    return np.concatenate([theta, rrs.inverse(configurations[:, 3:]).q], axis=1)
 
 
 def lowered() -> Trajectory:
@@ -64,7 +59,8 @@ def test_no_sample_exceeds_a_limit_and_every_configuration_is_met(
     jerk = np.diff(result.accelerations, axis=0) / TIMESTEP
     for values, limit in zip((result.velocities, result.accelerations, jerk), limits, strict=True):
         assert (np.abs(values) <= limit * (1.0 + 1e-6)).all()
-    assert result.positions[result.stops] == pytest.approx(angles(way), abs=1e-9)
+    joints = np.hstack([delta.inverse(way[:, :3]).theta, rrs.inverse(way[:, 3:]).q])
+    assert result.positions[result.stops] == pytest.approx(joints, abs=1e-9)
     placed = result.configurations[result.stops]
     known = np.isfinite(placed).all(axis=1)
     assert placed[known] == pytest.approx(way[known], abs=1e-9)
@@ -107,27 +103,20 @@ def test_a_move_along_a_bound_is_free() -> None:
     assert np.hypot(*result.configurations[:, :2].T).max() > DELTA.planar_limit + 1e-4
 
 
-def test_blended_moves_pass_without_a_stop() -> None:
+def test_blended_moves_pass_without_a_stop_and_in_less_time() -> None:
     way = HOME + np.outer(np.arange(5), [0.0, 0.0, -0.02, 0.0, 0.0, 0.0])
     stops, blended = make_trajectory(way), make_trajectory(way, blend=True)
     assert blended.duration < 0.75 * stops.duration
     assert (np.abs(blended.velocities[blended.stops[1:-1], :3]) > 0.2).all()
     back = make_trajectory([way[0], way[1], way[0]], blend=True)
     assert back.velocities[back.stops] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_blended_moves_may_take_a_time_that_stopping_ones_cannot() -> None:
-    way = HOME + np.outer(np.arange(5), [0.0, 0.0, -0.02, 0.0, 0.0, 0.0])
-    times = [n * TIMESTEP for n in range(30, 130)]
-    kept: list[list[float]] = []
-    for blend in (False, True):
-        kept.append([])
-        for move_time in times:
-            with suppress(TrajectoryError):
-                result = make_trajectory(way, blend=blend, move_time=move_time)
-                assert result.duration == pytest.approx(4 * move_time)
-                kept[-1].append(move_time)
-    assert min(kept[1]) < min(kept[0])
+    kept: dict[bool, list[int]] = {False: [], True: []}  # steps of time that moves may take
+    for blend, n in product(kept, range(30, 130)):
+        with suppress(TrajectoryError):
+            result = make_trajectory(way, blend=blend, move_time=n * TIMESTEP)
+            assert result.duration == pytest.approx(4 * n * TIMESTEP)
+            kept[blend].append(n)
+    assert min(kept[True]) < min(kept[False])
 
 
 def test_a_move_that_was_not_made_takes_no_time() -> None:
@@ -161,11 +150,6 @@ def test_the_clock_of_the_paper_is_kept_or_refused() -> None:
         make_trajectory(way, move_time=0.02)
 
 
-# above its knees' plane at the second place below
-FOLDING = {
-    "base_radius": 0.2333, "effector_radius": 0.0439, "proximal_length": 0.205,
-    "distal_length": 0.3132,
-}  # fmt: skip
 STILL = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_jerk": 1e-9}
 
 

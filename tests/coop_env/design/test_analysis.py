@@ -18,15 +18,6 @@ from tests.coop_env.kinematics import reference
 COARSE = DesignProblem(cells=60)
 
 
-def test_a_stricter_threshold_leaves_less() -> None:
-    problems = [replace(COARSE, threshold=threshold) for threshold in (0.1, 0.15, 0.25)]
-    given = [[design.workspace_area(g, p) for g in (INITIAL, OPTIMIZED)] for p in problems]
-    optimum = np.array([design.optimize(problem).value for problem in problems])
-    assert (np.diff(given, axis=0) < 0).all()
-    assert (np.diff(optimum) < 0).all()
-    assert (optimum >= np.max(given, axis=1) - 0.01).all()
-
-
 @pytest.mark.parametrize("name", ["base_radius", "distal_length"])
 def test_slopes_are_the_change_of_the_area_per_millimetre(name: str) -> None:
     length = getattr(OPTIMIZED, name)
@@ -57,21 +48,7 @@ def test_tolerances_widen_the_spread_and_repeat_by_seed() -> None:
         design.over_heaves(OPTIMIZED, 0.2)  # type: ignore[arg-type]
 
 
-def test_a_grid_that_does_not_hold_the_cone_has_no_figures_of_it() -> None:
-    for problem in (DesignProblem(extent=0.2), DesignProblem(cells=2)):
-        result = design.measure(OPTIMIZED, problem)
-        assert math.isnan(result.sigma_cone)
-        assert math.isnan(result.kappa_variation_cone)
-
-
-def test_the_trajectory_begins_at_the_designs_own_home() -> None:
-    higher = replace(OPTIMIZED, heave_min=0.225, heave_max=0.26, home_heave=0.225)
-    report = design.validate(higher)
-    assert report.valid
-    assert report.q[0] == pytest.approx(rrs.inverse([0.0, 0.0, 0.225], higher).q)
-
-
-def test_the_trajectory_starts_and_ends_at_rest_at_home() -> None:
+def test_the_trajectory_starts_and_ends_at_rest_at_the_designs_own_home() -> None:
     path = design.cone_trajectory()
     for end in (0, -1):
         np.testing.assert_allclose(path.poses[end], [0.0, 0.0, 0.21], atol=1e-12)
@@ -79,6 +56,10 @@ def test_the_trajectory_starts_and_ends_at_rest_at_home() -> None:
     assert np.abs(rates[[0, -1]]).max() < 1e-4 * np.abs(rates).max()
     tilt = np.arccos(np.cos(path.poses[:, 0]) * np.cos(path.poses[:, 1]))
     assert tilt.max() == pytest.approx(math.radians(22.0), abs=1e-6)
+    higher = replace(OPTIMIZED, heave_min=0.225, heave_max=0.26, home_heave=0.225)
+    report = design.validate(higher)
+    assert report.valid
+    assert report.q[0] == pytest.approx(rrs.inverse([0.0, 0.0, 0.225], higher).q)
 
 
 @pytest.mark.parametrize("g", GEOMETRIES.values(), ids=GEOMETRIES)

@@ -3,7 +3,8 @@
 import json
 import math
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
 
@@ -29,6 +30,15 @@ from coop_env.shield import ShieldedInsertionEnv
 
 VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
 SINGULAR = (0.0, 0.0, -0.27, 0.6, -0.3, 0.22)  # of the initial geometry
+
+
+@contextmanager
+def refused(env: Any, error: type[Exception], message: str) -> Iterator[None]:
+    """What is asked for here is refused, and the environment is left as it was."""
+    before = pickle.dumps(env.get_state())
+    with pytest.raises(error, match=message):
+        yield
+    assert pickle.dumps(env.get_state()) == before
 
 
 @pytest.mark.parametrize(
@@ -57,10 +67,9 @@ SINGULAR = (0.0, 0.0, -0.27, 0.6, -0.3, 0.22)  # of the initial geometry
         ({"sim_to_real": {"backlash": math.nan}}, ArgumentError, "backlash = nan"),
         ({"sim_to_real": {"latency": 2}}, ArgumentError, "latency = 2"),
         ({"sim_to_real": {"randomize": 1}}, ArgumentError, "randomize = 1"),
-        ({"delta": {"proximal": 0.2}}, ArgumentError, "delta has unknown keys.*proximal"),
         ({"delta": {"proximal_length": "long"}}, GeometryError, "'long': must be a number"),
         ({"delta": {"proximal_length": 0.5}}, GeometryError, "must exceed"),
-        ({"delta": 0.2}, ArgumentError, "must be None, a DeltaGeometry or a mapping"),
+        ({"delta": 0.2}, ArgumentError, "delta = 0.2: must be None, a DeltaGeometry or a mapping"),
         ({"geometry": {"base_radius": 0.2}}, ArgumentError, "proximal_length"),
         ({"geometry": {**asdict(OPTIMIZED), "joint_min": "low"}}, GeometryError, "'low'"),
         ({"geometry": {**asdict(OPTIMIZED), "distal_length": 0.08}}, GeometryError, "home"),
@@ -119,12 +128,8 @@ def test_reset_options(options: Any, message: str) -> None:
     env = CoopInsertionEnv("initial", stage=0)
     env.reset(seed=3)
     env.step(int(np.flatnonzero(env.action_masks())[0]))
-    before = env.get_state()
-    with pytest.raises(ResetOptionError, match=message):
+    with refused(env, ResetOptionError, message):
         env.reset(seed=4, options=options)
-    after = env.get_state()
-    assert after["states"].tobytes() == before["states"].tobytes()
-    assert after["rng"] == before["rng"]
 
 
 @pytest.mark.parametrize(
@@ -134,10 +139,9 @@ def test_reset_options(options: Any, message: str) -> None:
 def test_actions(kind: type[CoopInsertionEnv], action: Any) -> None:
     env = kind()
     env.reset(seed=0)
-    before, most = env.state.tobytes(), int(env.action_space.n) - 1
-    with pytest.raises(ActionError, match=f"must be an integer from 0 to {most}"):
+    most = int(env.action_space.n) - 1
+    with refused(env, ActionError, f"must be an integer from 0 to {most}"):
         env.step(most + 1 if action == 99 else action)
-    assert env.state.tobytes() == before
 
 
 @pytest.mark.parametrize("actions", [[0], [0, 99], [0, -1], [0.0, 1.0], [[0, 1]]])
@@ -145,10 +149,8 @@ def test_actions(kind: type[CoopInsertionEnv], action: Any) -> None:
 def test_batch_actions(form: Any, actions: Any) -> None:
     batch = form(1 if form is CoopInsertionTeamVecEnv else 2, seed=0)
     batch.reset()
-    before = batch.get_state()["states"].tobytes()
-    with pytest.raises(ActionError):
+    with refused(batch, ActionError, "action"):
         batch.step(np.array(actions))
-    assert batch.get_state()["states"].tobytes() == before
 
 
 def test_use_out_of_turn() -> None:
@@ -207,10 +209,8 @@ def test_snapshots_of_another_environment() -> None:
         (CoopInsertionTeamVecEnv(2), CoopInsertionTeamVecEnv(3)),
     ]
     for env, other in pairs:
-        before = repr(env.get_state())
-        with pytest.raises(StateError, match=r"other arguments|another layout"):
+        with refused(env, StateError, r"other arguments|another layout"):
             env.set_state(other.get_state())
-        assert repr(env.get_state()) == before
     with pytest.raises(StateError, match="keys"):
         CoopInsertionEnv().set_state({})
 
@@ -239,10 +239,8 @@ def test_a_damaged_snapshot_changes_nothing() -> None:
         (one, snapshot, "rng", "no", "rng"),
     ]
     for env, whole, name, wrong, message in damages:
-        before = pickle.dumps(env.get_state())
-        with pytest.raises(StateError, match=message):
+        with refused(env, StateError, message):
             env.set_state({**whole, name: wrong})
-        assert pickle.dumps(env.get_state()) == before
     batch.reset()
 
 

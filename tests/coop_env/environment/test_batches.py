@@ -5,7 +5,6 @@ import pickle
 from functools import partial
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
@@ -201,7 +200,9 @@ def test_the_vector_env_shows_what_gymnasiums_own_shows() -> None:
 
 def test_attributes_and_calls_reach_each_environment() -> None:
     env = CoopInsertionVectorEnv(2, render_mode="ansi")
-    env.reset(seed=[4, None], options={"target": 1})
+    _, infos = env.reset(seed=[4, None], options={"target": 1})
+    infos["_success"][:] = False
+    assert infos["_distance"].all()  # an array of its own
     assert [s["target"] for s in env.get_attr("state")] == [1, 1]
     env.call("set_stage", 0)
     env.set_attr("stage", [1, 0])
@@ -268,28 +269,22 @@ def test_a_reset_of_ones_own_counts_at_the_start_and_between_episodes() -> None:
         *(vec_env.reset(), vec_env.step(actions)[0]),
     ):
         np.testing.assert_array_equal(first, np.zeros((2, 12)))
-    for again in (False, True):
-        if again:
-            vec_env.reset()
-        assert [info["name"] for info in vec_env.reset_infos] == [7, 7]
+    assert [info["name"] for info in vec_env.reset_infos] == [7, 7]
+    vec_env.reset()
+    assert [info["name"] for info in vec_env.reset_infos] == [7, 7]
 
 
 def test_a_snapshot_brings_no_collision_of_another_episode() -> None:
     env = CoopInsertionEnv(collision="terminate", max_moves=20)
-    ended: dict[str, Any] = {}
-    for seed in range(100):
-        env.reset(seed=seed)
-        rng = np.random.default_rng(seed)
-        while env.running:
-            env.step(int(rng.integers(12)))
-        ended.setdefault(env.scene().status, env.get_state())
-        if {"collision", "timeout"} <= ended.keys():
-            break
+    env.reset(seed=0)
+    for k in range(20):
+        env.step(4 + k % 2)  # up and down
+    timeout = env.get_state()
     while env.scene().status != "collision":
         env.reset()
         while env.running:
             env.step(5)
-    env.set_state(ended["timeout"])
+    env.set_state(timeout)
     assert env.scene().status == "timeout"
 
 
@@ -303,10 +298,3 @@ def test_a_reset_that_is_refused_starts_no_environment() -> None:
     with pytest.raises(ResetOptionError, match="target"):
         env.reset()
     assert env.get_attr("state") == before
-
-
-def test_the_masks_of_infos_are_arrays_of_their_own() -> None:
-    env = gymnasium.make_vec("CoopInsertion-v0", num_envs=2)
-    _, infos = env.reset(seed=0)
-    infos["_success"][:] = False
-    assert infos["_distance"].all()

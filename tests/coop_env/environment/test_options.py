@@ -113,13 +113,10 @@ def test_masks_equal_a_check_of_each_neighbour(geometry: str, safe: bool) -> Non
 
 
 def test_pose_models_differ_where_the_platform_is_tilted() -> None:
-    options = {"configuration": (0.0, 0.0, -0.3, 0.3, 0.3, 0.22), "target": 0}
-    mouths = {}
-    for model in ("exact", "paper"):
-        env = CoopInsertionEnv(pose_model=model)
-        env.reset(options=options)
-        mouths[model] = env.state["mouths"]
-    difference = np.linalg.norm(mouths["exact"] - mouths["paper"], axis=1)
+    exact, paper = (CoopInsertionEnv(pose_model=model) for model in ("exact", "paper"))
+    for env in (exact, paper):
+        env.reset(options={"configuration": (0.0, 0.0, -0.3, 0.3, 0.3, 0.22)})
+    difference = np.linalg.norm(exact.state["mouths"] - paper.state["mouths"], axis=1)
     assert 0.001 < difference.max() < 0.03
 
 

@@ -17,6 +17,7 @@ from coop_env.errors import ArgumentError, ResetOptionError
 from coop_env.geometry import OPTIMIZED
 from coop_env.kinematics.delta import signed_sigma_min
 from coop_env.simulation.state import INVALID, VALID, state_dtype
+from tests.coop_env.kinematics.reference import FOLDING
 
 RING = [[0.4, 2.0 * math.pi * k / 9.0] for k in range(9)]
 
@@ -175,10 +176,7 @@ def test_bad_numbers_of_a_task(task: Any, message: str) -> None:
 
 
 def test_a_move_beyond_the_deltas_singularity_is_refused_as_its_mask_says() -> None:
-    folding = {"base_radius": 0.2333, "effector_radius": 0.0439}
-    folding |= {"proximal_length": 0.205, "distal_length": 0.3132}
-    robot = DeltaGeometry(**folding)
-    env = CoopInsertionEnv(delta=robot)
+    env = CoopInsertionEnv(delta=FOLDING)
     beyond, before = (np.array([-0.0125, 0.0889, z, 0.0, 0.0, 0.21]) for z in (-0.1306, -0.1706))
     assert env.configuration_status(before) == VALID
     assert env.configuration_status(beyond) == INVALID
@@ -190,5 +188,5 @@ def test_a_move_beyond_the_deltas_singularity_is_refused_as_its_mask_says() -> N
         allowed = env.action_masks()[4]
         refused.append(env.step(4)[-1]["violation"])
         assert refused[-1] is not bool(allowed)
-        assert signed_sigma_min(env.configuration[:3], robot) > 0.0
+        assert signed_sigma_min(env.configuration[:3], FOLDING) > 0.0
     assert refused[-1]

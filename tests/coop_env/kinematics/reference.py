@@ -1,4 +1,4 @@
-"""A second, independent formulation of the 3-RRS in plain numpy, to test against.
+"""A second, independent formulation of the 3-RRS in numpy and scipy, to test against.
 
 Nothing here is shared with :mod:`coop_env.kinematics`: the pose comes from the Euler form with its
 parasitic yaw and a linear solve of the limb planes, the twist from LAPACK's solver, the singular
@@ -9,11 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
+from scipy.spatial.transform import Rotation
 
-from coop_env.geometry import RRSGeometry
+from coop_env.geometry import DeltaGeometry, RRSGeometry
 
 Floats = NDArray[np.float64]
 
+# a Delta whose limbs also reach places above its knees' plane, within the paper's bounds
+FOLDING = DeltaGeometry(0.2333, 0.0439, proximal_length=0.205, distal_length=0.3132)
 _AZIMUTHS = np.radians([0.0, 120.0, 240.0])
 RADIAL = np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS), np.zeros(3)], axis=-1)
 TANGENTIAL = np.stack([-np.sin(_AZIMUTHS), np.cos(_AZIMUTHS), np.zeros(3)], axis=-1)
@@ -25,28 +29,18 @@ class ReferenceState(NamedTuple):
 
     position: Floats  # (..., 3) platform centre, m
     rotation: Floats  # (..., 3, 3)
-    joints: Floats  # (..., 3, 3) spherical joint of each limb, m
     q: Floats  # (..., 3) actuated angles, rad; NaN if unreachable
     reachable: NDArray[np.bool_]  # (...)
     jacobian: Floats  # (..., 3, 3); NaN if unreachable
     det_a: Floats  # (...) determinant of A, m^3
 
 
-def _axis_rotation(angle: Floats, axis: int) -> Floats:
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    out = np.zeros((*angle.shape, 3, 3))
-    out[..., axis, axis] = 1.0
-    out[..., i, i] = out[..., j, j] = np.cos(angle)
-    out[..., j, i] = np.sin(angle)
-    out[..., i, j] = -np.sin(angle)
-    return out
-
-
 def platform_pose(rph: Floats, geometry: RRSGeometry) -> tuple[Floats, Floats]:
     """Centre and rotation at (roll, pitch, heave): Rx Ry Rz(yaw), then x and y from the planes."""
     roll, pitch, heave = np.moveaxis(np.asarray(rph, dtype=float), -1, 0)
     yaw = -np.arctan2(np.sin(roll) * np.sin(pitch), np.cos(roll) + np.cos(pitch))
-    rotation = _axis_rotation(roll, 0) @ _axis_rotation(pitch, 1) @ _axis_rotation(yaw, 2)
+    angles = np.stack([roll, pitch, yaw], axis=-1).reshape(-1, 3)
+    rotation = Rotation.from_euler("XYZ", angles).as_matrix().reshape(*roll.shape, 3, 3)
     joints = geometry.platform_radius * np.einsum("...ab,ib->...ia", rotation, RADIAL)
     # t_i . (P + r_i) = 0 on limbs 0 and 1 gives x and y; limb 2 is left over as a check.
     out_of_plane = np.einsum("...ia,ia->...i", joints, TANGENTIAL)
@@ -59,8 +53,7 @@ def evaluate(rph: Floats, geometry: RRSGeometry) -> ReferenceState:
     g = geometry
     position, rotation = platform_pose(rph, g)
     r = g.platform_radius * np.einsum("...ab,ib->...ia", rotation, RADIAL)
-    joints = position[..., None, :] + r
-    from_base = joints - g.base_radius * RADIAL
+    from_base = position[..., None, :] + r - g.base_radius * RADIAL
     reach = np.linalg.norm(from_base, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         at_base = np.arccos(
@@ -86,7 +79,7 @@ def evaluate(rph: Floats, geometry: RRSGeometry) -> ReferenceState:
     a[~reachable] = np.nan
     with np.errstate(invalid="ignore"):
         det_a = np.linalg.det(a)
-    return ReferenceState(position, rotation, joints, q, reachable, a / b[..., None], det_a)
+    return ReferenceState(position, rotation, q, reachable, a / b[..., None], det_a)
 
 
 def signed_sigma_min(state: ReferenceState, geometry: RRSGeometry) -> Floats:
@@ -100,8 +93,6 @@ def signed_sigma_min(state: ReferenceState, geometry: RRSGeometry) -> Floats:
 
 def workspace_map(geometry: RRSGeometry, cells: int = 120) -> tuple[Floats, NDArray[np.bool_]]:
     """Signed sigma_min over the cell centres of +-60 degrees, and the cells of the component."""
-    from scipy.ndimage import label
-
     edge = np.pi / 3
     centres = (np.arange(cells) + 0.5) * (2 * edge / cells) - edge
     roll, pitch = np.meshgrid(centres, centres, indexing="ij")

@@ -1,6 +1,8 @@
 """The batched 3-RRS library: one formula for batch, loop and kernel; rates, margins, bad input."""
 
+import itertools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,20 +128,14 @@ def test_margins_change_sign_where_validity_does() -> None:
     np.testing.assert_array_equal(rrs.is_valid(poses), expected)
 
 
-@pytest.mark.parametrize("function", POSE_FUNCTIONS, ids=lambda f: f.__name__)
-@pytest.mark.parametrize("bad", [0.5, [0.1, 0.2], np.zeros((3, 2)), np.zeros((2, 0))])
-def test_wrong_shapes_are_named(function: Callable[..., np.ndarray], bad: object) -> None:
-    with pytest.raises(rrs.ShapeError, match=r"pose has shape .* must be \(\.\.\., 3\)"):
-        function(bad)
-
-
-@pytest.mark.parametrize("bad", ["abc", [None, 1.0, 2.0], [1j, 0.0, 0.2], [[1.0], [2.0, 3.0]]])
-def test_what_is_not_real_numbers_is_named(bad: object) -> None:
-    with pytest.raises(TypeError, match="must be real numbers"):
-        rrs.inverse(bad)  # type: ignore[arg-type]
-
-
-def test_batches_that_do_not_broadcast_and_pose_models_that_are_none_are_named() -> None:
+def test_bad_shapes_numbers_and_pose_models_are_named() -> None:
+    for function, shape in itertools.product(POSE_FUNCTIONS, [(), (2,), (3, 2), (2, 0)]):
+        with pytest.raises(rrs.ShapeError, match=r"pose has shape .* must be \(\.\.\., 3\)"):
+            function(np.zeros(shape))
+    wrong: list[Any] = ["abc", [None, 1.0, 2.0], [1j, 0.0, 0.2], [[1.0], [2.0, 3.0]]]
+    for bad in wrong:
+        with pytest.raises(TypeError, match="must be real numbers"):
+            rrs.inverse(bad)
     for function in (rrs.forward, rrs.joint_rates):
         with pytest.raises(rrs.ShapeError, match="do not broadcast"):
             function(np.zeros((2, 3)), np.zeros((5, 3)))

@@ -170,7 +170,9 @@ def test_a_command_beyond_the_robots_is_not_taken(name: str) -> None:
     assert env.configuration[5] <= 0.25
 
 
-def test_what_is_drawn_stays_within_the_task(env: CoopInsertionContactEnv) -> None:
+def test_what_is_drawn_stays_within_the_task_and_is_as_drawn_whatever_options_fix(
+    env: CoopInsertionContactEnv,
+) -> None:
     env.reset(seed=0)
     infos = [env.reset()[1] for _ in range(100)]
     errors = np.array([info["error"] for info in infos])
@@ -184,9 +186,6 @@ def test_what_is_drawn_stays_within_the_task(env: CoopInsertionContactEnv) -> No
     # the drawn error is where the hole really is
     lateral = np.array([info["lateral_error"] for info in infos])
     assert lateral == pytest.approx(offset, abs=3e-4)  # the tip stands 10 mm up a tilted axis
-
-
-def test_the_same_draws_whatever_options_fix(env: CoopInsertionContactEnv) -> None:
     _, free = env.reset(seed=4)
     _, fixed = env.reset(seed=4, options={"error": [0.0] * 4})
     assert (free["hole"], free["friction"]) == (fixed["hole"], fixed["friction"])
@@ -201,7 +200,7 @@ def test_moves_are_increments(env: CoopInsertionContactEnv) -> None:
         before = discrete.configuration
         observation = discrete.step(action)[0]
         moved = np.zeros(6)
-        moved[action // 2] = 1.0 if action % 2 == 0 else -1.0
+        moved[action // 2] = 1.0 - 2.0 * (action % 2)
         expected = moved * env.task.increments
         assert discrete.configuration - before == pytest.approx(expected, abs=1e-15)
         assert observation.tobytes() == env.step(moved)[0].tobytes()

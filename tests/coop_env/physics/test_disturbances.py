@@ -216,7 +216,6 @@ def test_a_critic_sees_what_is_so() -> None:
     [
         ({"servo_gain_error": -0.1}, "SimToReal.servo_gain_error = -0.1: must be at least 0"),
         ({"mass_error": 1.0}, "SimToReal.mass_error = 1.0: must be at least 0 and at most 0.9"),
-        ({"latency": 2}, "SimToReal.latency"),
         ("forge", "sim_to_real = 'forge'"),
         ({"observation_noise": 0.1}, "SimToReal.observation_noise: the machine has contact here"),
     ],

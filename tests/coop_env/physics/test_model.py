@@ -59,13 +59,12 @@ def test_opened_in_a_viewer_it_stands_still(opened: mujoco.MjModel) -> None:
 
 def test_servos_and_their_joints_have_ranges_around_home(opened: mujoco.MjModel) -> None:
     g = Machine().rrs
+    joints = opened.actuator_trnid[:, 0]
+    spans, home = opened.jnt_range[joints], opened.qpos0[opened.jnt_qposadr[joints]]
     assert opened.actuator_ctrllimited.all()
-    for i in range(6):
-        joint = int(opened.actuator_trnid[i, 0])
-        assert opened.jnt_limited[joint]
-        span, home = opened.jnt_range[joint], opened.qpos0[opened.jnt_qposadr[joint]]
-        assert span[0] < home < span[1]
-        assert opened.actuator_ctrlrange[i] + home == pytest.approx(span)
+    assert opened.jnt_limited[joints].all()
+    assert ((spans[:, 0] < home) & (home < spans[:, 1])).all()
+    assert opened.actuator_ctrlrange + home[:, None] == pytest.approx(spans)
     assert opened.joint("rrs_joint1").range == pytest.approx([g.joint_min, g.joint_max])
 
 
@@ -106,15 +105,6 @@ def test_the_effector_tilts_by_its_play(play: float) -> None:
     assert lean == pytest.approx(play, abs=1e-3 * (play > 0.0) + 1e-9)
 
 
-def inside(points: np.ndarray) -> np.ndarray:
-    """Whether points (n, 3) lie in any of the dome's solids."""
-    result = np.zeros(len(points), bool)
-    for _, vertices in dome_solids(PAPER_TASK, BORE):
-        planes = ConvexHull(vertices).equations
-        result |= (points @ planes[:, :3].T + planes[:, 3] < 1e-9).all(axis=1)
-    return result
-
-
 def test_the_dome_is_closed_but_for_its_bores() -> None:
     """Random points in the middle of the shell are in a solid, or in a bore; none in both."""
     rng = np.random.default_rng(0)
@@ -124,7 +114,10 @@ def test_the_dome_is_closed_but_for_its_bores() -> None:
     normals = np.array(PAPER_TASK.hole_normals)
     points = 0.088 * n
     off_axis = np.linalg.norm(np.cross(points[:, None], normals), axis=2).min(axis=1)
-    solid = inside(points)
+    solid = np.zeros(len(points), bool)
+    for _, vertices in dome_solids(PAPER_TASK, BORE):
+        planes = ConvexHull(vertices).equations
+        solid |= (points @ planes[:, :3].T + planes[:, 3] < 1e-9).all(axis=1)
     assert solid[off_axis > BORE.radius / np.cos(np.pi / 8) + 1e-6].all()
     assert not solid[off_axis < BORE.radius - 1e-6].any()
     assert (off_axis < BORE.radius).sum() > 50

@@ -95,7 +95,14 @@ def test_an_insertion_that_a_contact_cuts_short_leaves_the_model_where_the_machi
 
 
 def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
-    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+    """It may look at its environment."""
+
+    def finish(seen: np.ndarray) -> np.ndarray:
+        assert env.running
+        assert env.observation_space.contains(env.observe())
+        return push(seen)
+
+    env = CoopInsertionPhysicsDiscreteEnv(finish=finish)
     env.reset(seed=0, options={**above(3, 0.025), "error": [0.0005, 0.0, 0.01, 0.0]})
     *_, info = env.step(DOWN)
     assert (info["inserted_hole"], info["given_up"]) == (3, [])
@@ -114,17 +121,6 @@ def test_a_finish_that_answers_nonsense_is_named(answer: Any) -> None:
     with pytest.raises(ActionError, match=r"finish gave .*: must be 6 increments"):
         env.step(DOWN)
     assert not env.running
-
-
-def test_a_finish_may_look_at_its_environment() -> None:
-    def finish(seen: np.ndarray) -> np.ndarray:
-        assert env.running
-        assert env.observation_space.contains(env.observe())
-        return push(seen)
-
-    env = CoopInsertionPhysicsDiscreteEnv(finish=finish)
-    env.reset(seed=0, options={**above(3, 0.025), "error": [0.0005, 0.0, 0.01, 0.0]})
-    assert env.step(DOWN)[-1]["inserted"]
 
 
 def test_what_is_observed_is_of_the_space() -> None:

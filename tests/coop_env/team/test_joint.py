@@ -17,11 +17,6 @@ HOLD = 6
 LOW = (0.0, 0.0, -0.41, 0.05, -0.05, 0.23)  # the tip is some centimetres above the dome
 
 
-def single_action(delta: int, rrs: int) -> int:
-    """The single agent's action of two choices of which one is to hold."""
-    return delta if rrs == HOLD else 6 + rrs
-
-
 def joint_action(delta: int, rrs: int) -> int:
     return 7 * delta + rrs
 
@@ -56,10 +51,10 @@ def test_with_the_other_on_hold_all_is_the_single_agents(arguments: dict[str, An
         if single.state["over"]:
             (a, info), (b, twin) = single.reset(), joint.reset()
             continue
-        choice = int(rng.integers(6))
-        delta, rrs = (choice, HOLD) if rng.random() < 0.5 else (HOLD, choice)
-        a, *rest, info = single.step(single_action(delta, rrs))
-        b, *others, twin = joint.step(joint_action(delta, rrs))
+        action = int(rng.integers(12))
+        a, *rest, info = single.step(action)
+        choices = (action, HOLD) if action < 6 else (HOLD, action - 6)
+        b, *others, twin = joint.step(joint_action(*choices))
         assert rest == others
 
 
@@ -155,9 +150,6 @@ def test_when_both_hold_only_time_passes() -> None:
     assert env.step(48)[3]
 
 
-HIGH = (0.0, 0.0, -0.27)  # of the Delta, out of the 3-RRS's way
-
-
 def tried(env: CoopInsertionJointEnv, delta: int, rrs: int) -> dict[str, Any]:
     """The info of a tick that is taken back."""
     snapshot = env.get_state()
@@ -179,21 +171,20 @@ def test_without_sight_the_other_robot_makes_no_difference() -> None:
     env, level = Team(mask_singularities=True), CoopInsertionEnv()
     hidden = 0
     for _ in walk(env, 300):
-        masks, here = env.action_masks(), env.configuration
-        steps = np.array(PAPER_TASK.steps)
-        for agent in range(2):
-            for choice in range(6):
-                to = here.copy()
-                axis = 3 * agent + choice // 2
-                offset = env.state["offset"][axis] + 1 - 2 * (choice % 2)
-                to[axis] = env.state["start"][axis] + offset * steps[axis]
-                if agent == 0:
-                    assert masks[0, choice] == (level.configuration_status(to) != INVALID)
-                else:
-                    to[:3] = HIGH
-                    assert masks[1, choice] == (level.configuration_status(to) == VALID)
-                alone = (choice, HOLD) if agent == 0 else (HOLD, choice)
-                hidden += masks[agent, choice] and tried(env, *alone)["collision"]
+        masks, state = env.action_masks(), env.state
+        for action in range(12):
+            to, axis = env.configuration, action // 2
+            offset = state["offset"][axis] + 1 - 2 * (action % 2)
+            to[axis] = state["start"][axis] + offset * PAPER_TASK.steps[axis]
+            if action < 6:
+                allowed = level.configuration_status(to) != INVALID
+                choices = (action, HOLD)
+            else:
+                to[:3] = 0.0, 0.0, -0.27  # the Delta is out of the 3-RRS's way
+                allowed = level.configuration_status(to) == VALID
+                choices = (HOLD, action - 6)
+            assert masks[action // 6, action % 6] == allowed
+            hidden += allowed and tried(env, *choices)["collision"]
     assert hidden > 100
 
 
