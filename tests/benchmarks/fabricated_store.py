@@ -17,20 +17,11 @@ from benchmarks.runs.store import Store
 EPISODES = 10
 MOVES = {"optimum": 20, "optimum_at_once": 16}  # of others 25
 SOLVED = {
-    "rainbow": 9,
-    "maskable_ppo": 9,
-    "dqn": 6,
-    "random": 1,
-    "greedy": 7,
-    "lookahead": 8,
-    "greedy_observed": 7,
-    "lookahead_observed": 8,
-    "rrt_connect": 5,
-    "rrt_lattice": 8,
-    "optimum": 10,
-    "optimum_at_once": 10,
-    "nominal_plan": 5,
-    "plan_search": 8,
+    **dict.fromkeys(("optimum", "optimum_at_once"), 10),
+    **dict.fromkeys(("rainbow", "maskable_ppo"), 9),
+    **dict.fromkeys(("lookahead", "lookahead_observed", "rrt_lattice", "plan_search"), 8),
+    **dict.fromkeys(("greedy", "greedy_observed"), 7),
+    **{"dqn": 6, "rrt_connect": 5, "nominal_plan": 5, "random": 1},
 }
 
 
@@ -85,11 +76,8 @@ def fill(
             for i, seed in enumerate(seeds)
         ]  # fmt: skip
     learned = {
-        "timesteps": 500,
-        "singular": 2,
-        "episodes": 500,
-        "final_success_20": 0.9,
-        "curriculum_switch": 300,
+        **{"timesteps": 500, "singular": 2, "episodes": 500},
+        **{"final_success_20": 0.9, "curriculum_switch": 300},
     }
     with mock.patch("os.fsync"):  # half of the time, and no test needs it
         run.begin(settings(preset, cell))

@@ -36,9 +36,9 @@ def cell(method: str, track: str) -> Cell:
     return Cell(method, "full", "optimized", track, 0)
 
 
-def exploring(preset: Preset, **changes: Any) -> Preset:
+def exploring(preset: Preset) -> Preset:
     """The preset whose methods are tested once more as they explore."""
-    tests = dataclasses.replace(preset.evaluation, exploring=True, **changes)
+    tests = dataclasses.replace(preset.evaluation, exploring=True)
     return dataclasses.replace(preset, evaluation=tests)
 
 
@@ -57,18 +57,15 @@ def exploring(preset: Preset, **changes: Any) -> Preset:
 def test_who_sees_the_state_has_no_noise_and_who_has_two_ways_is_played_in_both(
     method: str, track: str, noise: list[float], explores: bool, preset: Preset
 ) -> None:
-    wanted: list[tuple[float, dict[str, object]]] = [(level, {}) for level in noise]
-    more: list[tuple[float, dict[str, object]]] = [(0.0, {"acting": "exploring"})]
-    for asked, all_wanted in ((preset, wanted), (exploring(preset), wanted + more * explores)):
+    wanted: list[Any] = [(level, {}, False) for level in noise]
+    more = explores * [(0.0, {"acting": "exploring"}, True)]
+    for asked, expected in ((preset, wanted), (exploring(preset), wanted + more)):
         result = levels(asked, cell(method, track))
-        assert [(level.noise, level.columns) for level in result] == all_wanted
-        assert [level.exploring for level in result] == ["acting" in each for _, each in all_wanted]
+        assert [(each.noise, each.columns, each.exploring) for each in result] == expected
 
 
 @pytest.mark.parametrize("method", ["rainbow", "dqn", "maskable_ppo", "greedy"])
-def test_rows_say_how_they_were_played_and_exploring_differs_and_follows_from_the_seed(
-    method: str, preset: Preset
-) -> None:
+def test_rows_say_how_they_were_played_and_exploring_repeats(method: str, preset: Preset) -> None:
     both, mine = exploring(preset), cell(method, "uncertain")
     learns = method != "greedy"
     model = build_model(both, mine, make_training_env(both, mine)) if learns else None

@@ -1,6 +1,7 @@
 """Models from files: what is stored here runs nothing, what a stranger saved asks for trust."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -60,50 +61,39 @@ def test_a_stored_run_names_no_module_of_its_own(tmp_path: Path) -> None:
         inserter(tmp_path, "SAC", 0)
 
 
-def test_what_a_stored_policy_pickles_stays_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(POLICIES[0].with_name("config.yaml"), tmp_path)
+def test_what_a_stored_policy_pickles_stays_closed(here: Path) -> None:
+    shutil.copy(POLICIES[0].with_name("config.yaml"), here)
     names = "anything", "observation_space", "policy_kwargs"
-    path = tampered(POLICIES[0], tmp_path / "policy.zip", *names)
+    path = tampered(POLICIES[0], here / "policy.zip", *names)
     assert load_model(path).observation_space == load_stored(POLICIES[0]).observation_space
     assert not Path("called").exists()
 
 
-def test_a_strangers_model_asks_for_trust(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Command
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    path = tampered(POLICIES[0], tmp_path / "my.zip", "anything")
-    error = refused("evaluate", "--preset", "smoke", "--model", str(path), "--episodes", "1")
+def test_a_strangers_model_asks_for_trust(here: Path, refused: Command) -> None:
+    path = tampered(POLICIES[0], here / "my.zip", "anything")
+    error = refused("evaluate", "--preset", "smoke", "--model", path, "--episodes", "1")
     assert "runs its author's code when it is loaded; add --trust" in error
     assert not Path("called").exists()
+
+
+def holding(content: bytes, part: str) -> Callable[[str, bytes], bytes]:
+    """What makes a file's part this one, for ``rewritten``."""
+    return lambda name, old: content if name == part else old
 
 
 @pytest.mark.parametrize("name", ["data", "policy.pth"])
 def test_a_damaged_model_is_one_error(tmp_path: Path, name: str) -> None:
     Rainbow("MlpPolicy", CoopInsertionEnv(), buffer_size=100, device="cpu").save(tmp_path / "m")
     for content in (b"", CALL):  # which torch refuses to unpickle
-
-        def damage(each: str, old: bytes, new: bytes = content) -> bytes:
-            return new if each == name else old
-
-        damaged = rewritten(tmp_path / "m.zip", tmp_path / "my.zip", damage)
+        damaged = rewritten(tmp_path / "m.zip", tmp_path / "my.zip", holding(content, name))
         with pytest.raises(BenchmarkError, match="is no model of 'rainbow'"):
             load_model(damaged, "rainbow", trust=True)
 
 
 @pytest.mark.filterwarnings("ignore:Detected pickle protocol")  # torch's
-def test_a_stored_policy_that_holds_a_pickle_is_one_error_without_torchs_advice(
-    tmp_path: Path,
-) -> None:
+def test_a_pickle_in_a_stored_policy_is_one_error_without_torchs_advice(tmp_path: Path) -> None:
     shutil.copy(POLICIES[0].with_name("config.yaml"), tmp_path)
-
-    def forge(each: str, old: bytes) -> bytes:
-        return CALL if each == "policy.pth" else old
-
-    path = rewritten(POLICIES[0], tmp_path / "policy.zip", forge)
+    path = rewritten(POLICIES[0], tmp_path / "policy.zip", holding(CALL, "policy.pth"))
     with pytest.raises(BenchmarkError, match=r"policy.zip holds .* nothing of it was run$"):
         load_model(path)
 
@@ -111,13 +101,10 @@ def test_a_stored_policy_that_holds_a_pickle_is_one_error_without_torchs_advice(
 def test_a_policy_beside_other_settings_is_one_error(tmp_path: Path) -> None:
     shutil.copy(POLICIES[0], tmp_path / "policy.zip")
     text = POLICIES[0].with_name("config.yaml").read_text("utf-8")
-    changes = (
-        ("ablation: full", "ablation: none"),
-        ("- 128", "- 127"),
-        ("alpha: 0.6", "alpha: much"),
-        ("cell:", "cells:"),
-    )
-    for old, new in (*changes, ("method: rainbow", "method: {}")):
+    for old, new in (
+        *(("ablation: full", "ablation: none"), ("- 128", "- 127"), ("alpha: 0.6", "alpha: much")),
+        *(("cell:", "cells:"), ("method: rainbow", "method: {}")),
+    ):
         (tmp_path / "config.yaml").write_text(text.replace(old, new), "utf-8")
         with pytest.raises(BenchmarkError):
             load_model(tmp_path / "policy.zip")

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -97,20 +97,17 @@ def test_rrt_connect_plans_again_where_a_plan_did_not_insert() -> None:
     """Beside who does not, with the same first plans: OMPL's draws follow those before."""
     rrt, first = RRTConnect(time_limit=100.0), dict[int, Plan]()
 
-    def player(again: bool) -> Callable[[Episode], None]:
-        def play_one(episode: Episode) -> None:
-            def plan(env: CoopInsertionEnv) -> Plan:
-                if episode.moves:
-                    return rrt.plan(env)
-                if episode.number not in first:
-                    first[episode.number] = rrt.plan(env)
-                return first[episode.number]
+    def play_one(episode: Episode, again: bool) -> None:
+        def plan(env: CoopInsertionEnv) -> Plan:
+            if episode.moves:
+                return rrt.plan(env)
+            if episode.number not in first:
+                first[episode.number] = rrt.plan(env)
+            return first[episode.number]
 
-            execute(episode, plan, again=again)
+        execute(episode, plan, again=again)
 
-        return play_one
-
-    once, again = (play(player(each), UNSURE) for each in (False, True))
+    once, again = (play(partial(play_one, again=each), UNSURE) for each in (False, True))
     assert rate(again) > rate(once)
 
 

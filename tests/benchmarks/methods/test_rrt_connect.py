@@ -112,9 +112,7 @@ def test_closing_the_loop_by_lattice_search_solves_more(planner: RRTConnect) -> 
 
 
 @pytest.mark.parametrize("limits", [(math.inf, 200), (0.1, 10**12)], ids=["iterations", "time"])
-def test_either_limit_ends_a_search(
-    limits: tuple[float, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_limit_ends_a_search(limits: tuple[float, int], monkeypatch: pytest.MonkeyPatch) -> None:
     env = begin(0).env
     start, goal = env.configuration, alignment_pose(env, env.configuration, env.state["target"])
 

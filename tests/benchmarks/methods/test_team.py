@@ -73,15 +73,10 @@ def test_the_best_of_the_sum_is_each_agents_own_best(track: str) -> None:
     changed, _ = model.predict(observations.numpy(), deterministic=True, action_masks=masks)
     np.testing.assert_array_equal(changed // N_CHOICES, together // N_CHOICES)
     assert (3 if track == "vdn" else 0) == len({3, 4, 5} - set(net.columns[0]))
-
-
-def test_the_sums_quantiles_are_sums_of_the_agents() -> None:
-    _, _, model = built("vdn_sight")
-    observations = th.as_tensor(model.get_env().reset())
-    joint = model.q_net.logits(observations, noisy=True)
+    joint = net.logits(observations, noisy=True)  # its quantiles are the sums of theirs
     parts = [
-        net.logits(observations[:, columns], noisy=True)
-        for net, columns in zip(model.q_net.networks, model.q_net.columns, strict=True)
+        each.logits(observations[:, columns], noisy=True)
+        for each, columns in zip(net.networks, net.columns, strict=True)
     ]
     assert joint.shape == (4, N_JOINT, 5)
     for action in (0, 13, 48):

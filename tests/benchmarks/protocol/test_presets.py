@@ -25,6 +25,10 @@ def mine(**track: Any) -> dict[str, Any]:
     return {"tracks": {"mine": track}}
 
 
+def noisy(level: float) -> dict[str, Any]:
+    return {"evaluation": {"episodes": 1, "noise": [0.0, level]}}
+
+
 def unsure(**knobs: float) -> dict[str, Any]:
     """On a machine with these errors."""
     return mine(base="safe", sim_to_real=knobs)
@@ -59,10 +63,7 @@ def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (
-            {"sedes": [0]},
-            r"^mine.yaml: unknown key 'sedes'; known keys: checkpoint_seconds, (?!.*\bname\b)",
-        ),
+        ({"sedes": [0]}, r"^mine.yaml: unknown key 'sedes'; known keys: check(?!.*\bname\b)"),
         ({"runs": [{"method": []}]}, r"mine.yaml: runs\[0\]: unknown key 'method'; known keys"),
         (safe(hyperparameters={"learnin_rate": 1.0}), "unknown key 'learnin_rate'"),
         ({"seeds": []}, "seeds"),
@@ -70,15 +71,9 @@ def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
         ({"seeds": "0"}, "seeds: Input should be a valid array, found '0'"),
         ({"evaluation": {"episodes": True}}, "episodes: .* valid integer, found True"),
         ({"evaluation": {"episodes": 1, "noise": [0.1]}}, "noise"),
-        ({"evaluation": {"episodes": 1, "noise": [0.0, 0.0]}}, "noise: needs one value or more"),
-        (
-            {"evaluation": {"episodes": 1, "noise": [0.0, float("nan")]}},
-            "noise.* finite number, found",
-        ),
-        (
-            {"evaluation": {"episodes": 1, "noise": [0.0, 2.0]}},
-            r"noise\[1\]: .* less than or equal to 1, found 2.0",
-        ),
+        (noisy(0.0), "noise: needs one value or more"),
+        (noisy(float("nan")), "noise.* finite number, found"),
+        (noisy(2.0), r"noise\[1\]: .* less than or equal to 1, found 2.0"),
         ({"planner": {"time_limit": -1}}, "time_limit: .* greater than 0, found -1"),
         ({"checkpoint_seconds": "soon"}, "checkpoint_seconds"),
         ({"checkpoint_seconds": -1}, "seconds: .* greater than or equal to 0, found -1"),

@@ -58,11 +58,7 @@ def test_every_key_is_there_with_its_default(title: str) -> None:
         default: Any = field.default
         if field.default_factory is not dataclasses.MISSING:
             default = field.default_factory()
-        if (
-            default is dataclasses.MISSING
-            or dataclasses.is_dataclass(default)
-            or default in ({}, [])
-        ):
+        if dataclasses.is_dataclass(default) or default in (dataclasses.MISSING, {}, []):
             assert text == "", key
         elif isinstance(default, str):
             assert text == default

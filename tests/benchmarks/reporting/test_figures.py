@@ -18,9 +18,8 @@ from benchmarks.runs.store import Store
 from tests.benchmarks import fabricated_store
 from tests.process import ROOT, python
 
-PAPER_FIGURES = {
-    *("cumulative_reward", "exploration", "holes", "success", "max_q", "loss", "duration"),
-}
+# the paper's
+CURVES = ("cumulative_reward", "exploration", "holes", "success", "max_q", "loss", "duration")
 
 
 def test_a_small_picture_keeps_its_colours() -> None:
@@ -83,7 +82,7 @@ def test_figures_need_no_torch(tmp_path: Path) -> None:
     assert done.stdout.strip().endswith("\n[]")
     result = {picture.name: picture for picture in pictures(Results(store))}
     assert {path.stem for path in store.figures.iterdir()} == set(result)
-    assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(result)
+    assert {f"safe_{name}" for name in CURVES} <= set(result)
     assert {"robustness", "performance_profile", "ablation_comparison"} <= set(result)
     for name in ("safe_cumulative_reward", "performance_profile"):  # drawn again, the same bytes
         data = (store.figures / f"{name}.png").read_bytes()
@@ -91,13 +90,16 @@ def test_figures_need_no_torch(tmp_path: Path) -> None:
         assert result[name].write(tmp_path).read_bytes() == data
 
 
-@pytest.mark.parametrize("seeds", [1, 5])
+@pytest.mark.parametrize("seeds", [1, 2])
 def test_a_single_seed_has_no_interval_beside_those_over_seeds(tmp_path: Path, seeds: int) -> None:
-    results = Results(fabricated_store.make_store(tmp_path, range(seeds)))
+    learners = fabricated_store.make_store(
+        tmp_path, range(seeds), keep=lambda cell: cell.method == "rainbow"
+    )
+    results = Results(learners)
     (picture,) = (each for each in pictures(results) if each.name == "ablation_comparison")
     ours: Any = picture.draw().axes[0].containers[0]
     drawn = [bool(np.isfinite(bar).any()) for bar in ours.lines[2][0].get_segments() if len(bar)]
-    assert len(drawn) == (9 if seeds == 5 else 0)
+    assert len(drawn) == (9 if seeds == 2 else 0)
     assert all(drawn)
     assert np.isfinite(ours.lines[0].get_xdata()).all()
 

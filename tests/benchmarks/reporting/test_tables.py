@@ -109,13 +109,9 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
     assert list(rows) == ["0", "0.01", "0.02", "0.04"]
     assert rows["0.01"]["Rainbow DQN, paper"] == "88 ± 3"
     assert rows["0.01"]["Rainbow DQN"] == "70.0 ± 10.0"
-    held = {
-        name
-        for row in robust.rows
-        for name, cell in zip(robust.header, row, strict=True)
-        if getattr(cell, "paper", "")
-    }
-    assert held == {"Rainbow DQN"}  # the paper's noise is Rainbow's, and no other method's
+    columns = zip(robust.header, *robust.rows, strict=True)
+    held = [name for name, *cells in columns if any(getattr(c, "paper", "") for c in cells)]
+    assert held == ["Rainbow DQN"]  # the paper's noise is Rainbow's, and no other method's
     # another machine has scripts of its own, and none here
     row = Results(full).group("rainbow", "repaired").as_trained()
     machine = {**(row.settings or {}), "sim_to_real": {"base_position_error": 0.005}}
@@ -251,15 +247,12 @@ def test_a_preset_of_ones_own_has_the_tables_that_it_fills(tmp_path: Path) -> No
     assert "leaderboard" not in Insertion("smoke").printed
 
 
-def test_runs_of_other_settings_or_of_another_schema_are_in_no_table(tmp_path: Path) -> None:
+def test_runs_of_other_settings_are_in_no_table(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0, 1])
     path = store.run("rainbow-optimized-safe-s1").path / "config.yaml"
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("gamma: 0.93", "gamma: 0.99"), encoding="utf-8")
     with pytest.raises(BenchmarkError, match=r"s0 and .*s1 differ .*gamma: 0.93 -> 0.99\)"):
-        Results(store)
-    (store.run("optimum-optimized-s0").path / "meta.json").write_text('{"schema": 99}', "utf-8")
-    with pytest.raises(BenchmarkError, match="has results schema 99, this version reads 1"):
         Results(store)
 
 
@@ -326,15 +319,14 @@ def test_outside_means_that_no_rounding_reconciles(low: float, width: float, pap
     assert not Number(Value(paper + 100.0), paper=text).flagged  # no interval, no verdict
 
 
-def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: Path) -> None:
-    store = fabricated_store.make_store(tmp_path, [0, 1, 2])
-    results, tables = Results(store), tables_of(store)
-    value = results.group("rainbow", track="safe").success()
+def test_flags_follow_students_interval_over_seeds(full: Store, tables: dict[str, Table]) -> None:
+    results = Results(full)
+    value = results.group("rainbow", "repaired").success()
     assert [value.mean, value.std, value.n] == pytest.approx([80.0, 10.0, 3])
     # t of 2 degrees of freedom: 4.303 times 10 / sqrt 3
     assert [value.low, value.high] == pytest.approx([55.16, 104.84], abs=0.01)
     # moves count only on starts that both solved
-    excess = results.group("dqn", "safe").excess(results.group("optimum"))
+    excess = results.group("dqn", "repaired").excess(results.group("optimum"))
     assert excess.mean == pytest.approx(25.0)
     planner: Any = tables["performance"].rows[0][2]
     # 50, 40 and 30 %, whose interval is [15.2, 64.8], which holds the paper's 55
@@ -344,7 +336,6 @@ def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: P
     # 0.3, 0.3 and never within its steps: more than that cannot be excluded
     assert steps.value.high == math.inf
     assert not steps.flagged
-    assert steps.text() == "0.30 ± 0.00 (1 of 3 never)"
 
 
 def test_a_budget_below_the_papers_number_proves_nothing(tmp_path: Path) -> None:

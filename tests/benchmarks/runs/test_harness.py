@@ -3,11 +3,9 @@
 import io
 import os
 import re
-import shutil
 import signal
 import subprocess
 import time
-from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,21 +31,21 @@ from tests.benchmarks.smoke import smoke_file, smoke_preset
 
 
 @pytest.fixture
-def long_preset(tmp_path: Path) -> Path:
-    """One run that no test waits for."""
+def long_run(tmp_path: Path) -> list[str]:
+    """Arguments for one run that no test waits for."""
     runs = [{"methods": ["dqn"], "tracks": ["safe"]}]
-    return smoke_file(tmp_path, "long", track={"timesteps": 10_000_000}, runs=runs)
+    preset = smoke_file(tmp_path, "long", track={"timesteps": 10_000_000}, runs=runs)
+    return ["--preset", str(preset), "--results", str(tmp_path / "results")]
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
-    number: signal.Signals, long_preset: Path, tmp_path: Path
+    number: signal.Signals, long_run: list[str], tmp_path: Path
 ) -> None:
     """Its run is a process of its own."""
-    words = ["run", "--preset", str(long_preset), "--results", str(tmp_path / "results")]
-    process = Forked(tmp_path / "out.txt", words)
+    process = Forked(tmp_path / "out.txt", ["run", *long_run])
     run = Store(tmp_path / "results", "long").run("dqn-optimized-safe-s0")
     wait_for((run.checkpoint / "progress.json").exists, tmp_path / "out.txt")
     process.send_signal(number)
@@ -60,9 +58,7 @@ def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
 
 
 @pytest.mark.usefixtures("forked")
-def test_a_run_that_fails_is_told_and_the_others_go_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_run_ends_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # no start lies so far from every hole, which the child finds out
     hopeless = {"base": "safe", "task": {"start_clearance": [0.6, 0.7]}}
     groups = [{"methods": ["greedy"], "tracks": ["hopeless"]}, {"methods": ["optimum"]}]
@@ -76,13 +72,9 @@ def test_a_run_that_fails_is_told_and_the_others_go_on(
     assert [run.id for run in runs] == ["optimum-optimized-s0"]
 
 
-def test_too_small_a_disk_is_refused_before_the_start(
-    long_preset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Command
-) -> None:
-    usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 10**12, 10**6))
-    words = ["--preset", str(long_preset), "--results", str(tmp_path / "results")]
-    assert "make room" in refused("run", *words)
+def test_a_small_disk_is_refused(long_run: list[str], tmp_path: Path, refused: Command) -> None:
+    with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=10**6)):
+        assert "make room" in refused("run", *long_run)
     assert not (tmp_path / "results" / "long" / "runs").exists()
 
 
@@ -106,17 +98,16 @@ def test_an_impossible_cell_is_refused_before_the_start(
 
 
 def test_a_run_of_other_settings_than_another_seeds_is_refused_before_the_start(
-    long_preset: Path, tmp_path: Path, refused: Command
+    long_run: list[str], tmp_path: Path, refused: Command
 ) -> None:
-    one = Insertion(str(long_preset))
+    one = Insertion(long_run[1])
     run = one.open_store(tmp_path / "results", create=True).run("dqn-optimized-safe-s9")
     settings = one.settings(one.cells[0])
     run.begin({**settings, "track": {**settings["track"], "timesteps": 480}})
     run.write_meta({"training": {}})
-    words = ["--preset", str(long_preset), "--results", str(tmp_path / "results")]
     told = "s0 differ in more than their seed (track.timesteps: 480 -> 10000000)"
-    assert told in refused("run", *words)
-    assert told in refused("train", *words, "--cell", "dqn-optimized-safe-s0")
+    assert told in refused("run", *long_run)
+    assert told in refused("train", *long_run, "--cell", "dqn-optimized-safe-s0")
 
 
 @pytest.mark.usefixtures("forked")
@@ -253,9 +244,7 @@ def test_what_earlier_calls_have_done_counts_as_done(tmp_path: Path) -> None:
     assert int(first[1]) >= 40
 
 
-def test_one_process_per_core_with_its_threads_pinned(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_per_core_of_one_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert Backend().slots == len(os.sched_getaffinity(0))
     assert Backend(3).slots == 3
     asked: dict[str, Any] = {}

@@ -12,7 +12,6 @@ from benchmarks.evaluation.model_files import load_stored
 from benchmarks.methods.learners import build_model, make_training_env
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.plan import Cell
-from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs import policy_file
 from benchmarks.runs.cell import run_cell
@@ -24,25 +23,20 @@ METHODS = [name for name, each in LEARNERS.items() if each.discrete]
 TEAMS = ("central", "vdn", "vdn_sight", "shared", "shared_sight", "independent_sight")
 
 
-@pytest.fixture(scope="module")
-def preset() -> Preset:
-    ppo = {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
-    own = {"qrdqn": {"policy_kwargs": {"net_arch": [64, 64], "n_quantiles": 20}}}
-    tests = {"episodes": 3, "noise": [0.0]}
-    tracks = smoke({"ppo": ppo, "methods": own})["tracks"]
-    tracks |= {team: {"timesteps": 400, "hyperparameters": SMALL} for team in TEAMS}
-    return smoke_preset(tracks=tracks, evaluation=tests)
+PPO = {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
+OWN = {"qrdqn": {"policy_kwargs": {"net_arch": [64, 64], "n_quantiles": 20}}}
+TRACKS = smoke({"ppo": PPO, "methods": OWN})["tracks"]
+TRACKS |= {team: {"timesteps": 200, "hyperparameters": SMALL} for team in TEAMS}
+PRESET = smoke_preset(tracks=TRACKS, evaluation={"episodes": 3, "noise": [0.0]})
 
 
 @pytest.mark.parametrize(
     ("method", "track"), [*((name, "safe") for name in METHODS), *(("rainbow", t) for t in TEAMS)]
 )
-def test_the_stored_policy_repeats_the_stored_episodes(
-    method: str, track: str, preset: Preset, tmp_path: Path
-) -> None:
+def test_the_stored_policy_repeats_the_episodes(method: str, track: str, tmp_path: Path) -> None:
     cell = Cell(method, "full", "optimized", track, 0)
     store = Store.open(tmp_path, "smoke", create=True)
-    assert run_cell(Insertion(preset), cell, store)
+    assert run_cell(Insertion(PRESET), cell, store)
     run = store.run(cell.id)
     assert run.policy.stat().st_size < 400_000
     assert len(run.meta()["training"]["weights_sha256"]) == 64
@@ -50,18 +44,16 @@ def test_the_stored_policy_repeats_the_stored_episodes(
     if method == "qrdqn":
         assert model.policy_kwargs["n_quantiles"] == 20
     assert ("methods" in run.config()["track"]) == (method == "qrdqn")
-    again = evaluate_cell(preset, cell, model=model)
+    again = evaluate_cell(PRESET, cell, model=model)
     stored = run.rows("episodes")
     assert [row["reward"] for row in again] == pytest.approx(stored["reward"].tolist(), rel=1e-6)
     assert [row["moves"] for row in again] == stored["moves"].tolist()
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_half_precision_moves_no_weight_further_than_its_last_bit(
-    method: str, preset: Preset
-) -> None:
+def test_half_precision_moves_no_weight_further_than_its_last_bit(method: str) -> None:
     cell = Cell(method, "full", "optimized", "safe", derive("learner", 3) % 1000)
-    model = build_model(preset, cell, make_training_env(preset, cell))
+    model = build_model(PRESET, cell, make_training_env(PRESET, cell))
     before = {k: v.clone() for k, v in model.policy.state_dict().items()}
     whole = policy_file.digest(model)
     policy_file.reduce_to_acting(model)

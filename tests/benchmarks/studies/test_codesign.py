@@ -3,6 +3,7 @@
 import math
 from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -92,9 +93,7 @@ def test_a_rank_correlation_has_an_interval_about_it() -> None:
     assert report.rank_correlation(x, np.ones(80)).n == 0
 
 
-def test_a_search_that_was_cut_off_is_the_one_that_was_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_search_cut_off_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def score(name: str, study: str, values: dict[str, float], starts: int) -> dict[str, Any]:
         if values["lambda1"] > 1.7:
             raise codesign.Unbuilt("home")
@@ -109,7 +108,9 @@ def test_a_search_that_was_cut_off_is_the_one_that_was_not(
         return tell(self, trial, **more)
 
     def rows(folder: str, *cuts: int) -> Any:
-        (tmp_path / folder).mkdir()
+        place = tmp_path / folder
+        place.mkdir()
+        search = partial(codesign.search, place, "lambdas", 70.0, 20, 1, lambda share: None)
         for end in (*cuts, None):
             left = [] if end is None else [*end * [mock.DEFAULT], KeyboardInterrupt]
             spy = mock.Mock(wraps=score, side_effect=left or None)
@@ -117,15 +118,12 @@ def test_a_search_that_was_cut_off_is_the_one_that_was_not(
             if end == 3:  # and once between a design's row and its end
                 with monkeypatch.context() as patch, suppress(KeyboardInterrupt):
                     patch.setattr(optuna.Study, "tell", cut_off)
-                    codesign.search(tmp_path / folder, "lambdas", 70.0, 20, 1, lambda share: None)
+                    search()
             with suppress(KeyboardInterrupt):
-                return codesign.search(
-                    tmp_path / folder, "lambdas", 70.0, 20, 1, lambda share: None
-                )
+                return search()
         raise AssertionError("cut off")
 
     monkeypatch.setattr("time.process_time", count().__next__)  # a second for each
-
     monkeypatch.setattr(codesign, "POPULATION", 4)
     monkeypatch.setattr(codesign, "build", lambda values: values)
     (cut, skipped, seconds), whole = rows("cut", 2, 5, 3), rows("whole")

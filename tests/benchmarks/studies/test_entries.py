@@ -39,15 +39,10 @@ from tests.benchmarks.smoke import smoke_file
 from tests.process import ROOT
 
 SETTINGS: dict[str, dict[str, Any]] = {
-    "ppo": {"n_steps": 16, "batch_size": 16},
-    "a2c": {},
-    "trpo": {"n_steps": 16, "batch_size": 16},
-    "maskable_ppo": {"n_steps": 16, "batch_size": 16},
-    "dqn": {"buffer_size": 200, "learning_starts": 10},
-    "qrdqn": {"buffer_size": 200, "learning_starts": 10},
-    "rainbow": {"buffer_size": 200, "learning_starts": 10},
+    **{"a2c": {}},
+    **{name: {"n_steps": 16, "batch_size": 16} for name in ("ppo", "trpo", "maskable_ppo")},
+    **{name: {"buffer_size": 200, "learning_starts": 10} for name in ("dqn", "qrdqn", "rainbow")},
 }
-
 CLASSES = algorithms()
 Train = Callable[..., Path]
 
@@ -77,15 +72,13 @@ def board(results: Path) -> pd.DataFrame:
     return pd.read_csv(path, dtype=str).set_index("Method")
 
 
-def command(results: Path, *words: str | Path) -> list[str]:
+def command(results: Path, *words: str | Path) -> list[str | Path]:
     trust = ["--trust"] if "--model" in words else []
-    return ["evaluate", "--preset", "smoke", "--results", *map(str, [results, *words, *trust])]
+    return ["evaluate", "--preset", "smoke", "--results", results, *words, *trust]
 
 
 @pytest.mark.parametrize("name", ["ppo", "maskable_ppo"])
-def test_a_model_joins_the_leaderboard_with_one_command(
-    name: str, train: Train, tmp_path: Path, done: Command
-) -> None:
+def test_a_model_joins_the_board(name: str, train: Train, tmp_path: Path, done: Command) -> None:
     path = train(name)
     out = done(*command(tmp_path, "--model", path, "--name", f"my-{name}"))
     assert f"my-{name}" in out
@@ -217,11 +210,10 @@ def nonsense(env):
 
 
 @pytest.fixture
-def planners(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "my_planner.py").write_text(PLANNER, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
+def planners(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (here / "my_planner.py").write_text(PLANNER, encoding="utf-8")
     monkeypatch.delitem(sys.modules, "my_planner", raising=False)  # another test's
-    return tmp_path
+    return here
 
 
 @pytest.mark.slow
@@ -276,25 +268,20 @@ def test_a_planner_that_does_wrong_is_one_error(
     done(*command(planners, "--planner", "my_planner:nothing", "--name", "wrong"))
 
 
-def test_a_planner_that_was_edited_is_another_one(
-    planners: Path, done: Command, refused: Command
-) -> None:
+def test_an_edited_planner_is_another_one(planners: Path, done: Command, refused: Command) -> None:
     words = command(planners, "--planner", "my_planner:nothing", "--name", "ppo_mine")
     done(*words)  # its name begins like a learner's
     assert check_runs(Store.open(planners, "smoke")) == []
-    with (planners / "my_planner.py").open("a", encoding="utf-8") as stream:
-        stream.write("# better\n")
+    (planners / "my_planner.py").write_text(f"{PLANNER}# better\n", encoding="utf-8")
     assert "--replace it" in refused(*words)
     done(*words, "--replace")
 
 
-def test_an_entry_of_a_seed_that_is_gone_is_replaced_too(
-    planners: Path, done: Command, refused: Command
-) -> None:
-    def words(seeds: list[int]) -> list[str]:
+def test_a_gone_seeds_entry_is_replaced(planners: Path, done: Command, refused: Command) -> None:
+    def words(seeds: list[int]) -> list[str | Path]:
         path = smoke_file(planners, "mine", seeds=seeds)
-        planner = ["--planner", "my_planner:nothing", "--name", "idle"]
-        return ["evaluate", "--preset", str(path), "--results", str(planners), *planner]
+        own = command(planners, "--planner", "my_planner:nothing", "--name", "idle")
+        return [*own, "--preset", path]
 
     done(*words([0, 1]))
     assert "--replace it" in refused(*words([0]))
@@ -328,33 +315,27 @@ def test_wrong_files_are_one_error(train: Train, tmp_path: Path, refused: Comman
         return refused(*command(tmp_path / "results", "--model", path, *words))
 
     assert "is missing; give a .zip" in error_of(tmp_path / "none.zip")
-    text = tmp_path / "text.zip"
-    text.write_text("not a zip", encoding="utf-8")
-    assert "is no model of Stable-Baselines3 (BadZipFile" in error_of(text)
-    other = tmp_path / "other.zip"
-    with zipfile.ZipFile(other, "w") as archive:
-        archive.writestr("data", "{}")
-    assert "is no model of Stable-Baselines3 (KeyError" in error_of(other)
-    # the data of a model without its weights
-    torn = tmp_path / "torn.zip"
-    with zipfile.ZipFile(good) as source, zipfile.ZipFile(torn, "w") as target:
-        target.writestr("data", source.read("data"))
-    assert "is no model of 'ppo'" in error_of(torn)
+    path = tmp_path / "bad.zip"
+    path.write_text("not a zip", encoding="utf-8")
+    assert "is no model of Stable-Baselines3 (BadZipFile" in error_of(path)
+    with zipfile.ZipFile(good) as archive:
+        without_its_weights = archive.read("data")
+    for data, word in ((b"{}", "Stable-Baselines3 (KeyError"), (without_its_weights, "'ppo'")):
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("data", data)
+        assert f"is no model of {word}" in error_of(path)
     assert "is no model of 'dqn'" in error_of(good, "--algo", "dqn")
     assert "unknown algorithm 'sarsa'; known: a2c" in error_of(good, "--algo", "sarsa")
-    recurrent = tmp_path / "recurrent.zip"
-    sb3_contrib.RecurrentPPO("MlpLstmPolicy", make_env(), device="cpu").save(recurrent)
-    assert "recurrent policy" in error_of(recurrent)
+    sb3_contrib.RecurrentPPO("MlpLstmPolicy", make_env(), device="cpu").save(path)
+    assert "recurrent policy" in error_of(path)
     assert "letters, digits" in error_of(good, "--name", "a/b")
     assert "one of the harness's own" in error_of(good, "--name", "rainbow")
     assert "either --model or --planner" in error_of(good, "--planner", "optimum")
-    words = ("--preset", "difficulty", "--model", str(good), "--results", str(tmp_path / "results"))
-    assert "preset 'difficulty' has no leaderboard" in refused("evaluate", *words)
+    other = error_of(good, "--preset", "difficulty")
+    assert "preset 'difficulty' has no leaderboard" in other
 
 
-def test_an_entry_leaves_the_presets_own_tables_alone(
-    train: Train, tmp_path: Path, done: Command
-) -> None:
+def test_an_entry_leaves_other_tables_alone(train: Train, tmp_path: Path, done: Command) -> None:
     store = fabricated_store.make_store(tmp_path, [0], "smoke")
     fabricated_store.write_tables(store)
     before = {path.name: path.read_bytes() for path in store.tables.iterdir()}
@@ -369,16 +350,13 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
     assert ranks == ["-", *[str(rank) for rank in range(1, len(ranks))]]
 
 
-def test_the_documented_study_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: Command, refused: Command
-) -> None:
+def test_the_documented_study_runs(here: Path, done: Command, refused: Command) -> None:
     section = (ROOT / "docs" / "own_method.md").read_text("utf-8").split("## A study")[1]
     code = section.split("```python\n")[1].split("```")[0]
     (command,) = (line for line in section.splitlines() if line.startswith("    python -m"))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_study.py").write_text(code, encoding="utf-8")
+    (here / "my_study.py").write_text(code, encoding="utf-8")
     done(*command.split()[3:])
-    path = tmp_path / "results" / "lengths" / "lengths.json"
+    path = here / "results" / "lengths" / "lengths.json"
     stored = json.loads(path.read_text("utf-8"))
     assert stored["command"] == command.strip()
     assert set(stored["parts"]) == {"initial", "optimized"}

@@ -38,7 +38,7 @@ def test_two_files_of_one_solved_episode_are_the_same_for_the_same_seed(
         assert (out / name).read_bytes() == (again / name).read_bytes()
 
 
-def test_a_policy_is_shown_on_its_own_robot_if_no_other_is_asked_for(
+def test_a_policy_is_shown_on_its_own_robot_by_default(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     make: Any = SimpleNamespace

@@ -34,7 +34,7 @@ def test_the_command_writes_what_it_prints(site: Any) -> None:
     assert parts["steps"]["batch of 64"] < parts["steps"]["SB3 DummyVecEnv of 64"]
 
 
-def test_times_are_medians_over_the_rounds_without_the_first(
+def test_times_are_medians_over_all_rounds_but_the_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now, seconds = [0.0], iter([9.0, 0.1, 0.5, 0.2])
@@ -130,9 +130,8 @@ class Counted(Measured):
 
 def test_other_settings_leave_what_was_measured(tmp_path: Path) -> None:
     def begun(starts: int) -> Counted:
-        study = Counted(
-            argparse.Namespace(results=tmp_path, command="", starts=starts, to=tmp_path)
-        )
+        given = argparse.Namespace(results=tmp_path, command="", starts=starts, to=tmp_path)
+        study = Counted(given)
         name, part = next(iter(study.parts().items()))
         study.keep(name, part(lambda _: None))
         return study
@@ -160,9 +159,7 @@ class Own(Measured):
 """
 
 
-def test_a_study_that_was_edited_is_measured_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_edited_study_is_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "own_study.py"
     path.write_text(OWN, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))

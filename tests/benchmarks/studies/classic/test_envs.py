@@ -141,15 +141,12 @@ def test_unknown_tasks_and_missing_packages_are_named(
         make(name)
 
 
-def test_no_module_that_a_file_names_is_imported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "evil.py").write_text("open('pwned', 'w')", encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
+def test_no_module_of_a_file_is_imported(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (here / "evil.py").write_text("open('pwned', 'w')", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(here))
     with pytest.raises(BenchmarkError, match="'evil:X-v0': only coop_env's module is"):
         make("evil:X-v0")
-    assert not Path("pwned").exists()
+    assert not (here / "pwned").exists()
 
 
 def test_atari_is_scored_as_played_and_learned_in_by_signs_and_lives() -> None:
@@ -176,7 +173,7 @@ def test_atari_is_scored_as_played_and_learned_in_by_signs_and_lives() -> None:
     assert np.mean(results[True][1]) < np.mean(results[False][1])  # a life, not all five
 
 
-def test_in_a_test_of_atari_an_action_in_a_thousand_is_random_by_the_seed(
+def test_in_atari_an_action_in_a_thousand_is_random(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Dopamine's; without it a greedy policy has at most thirty episodes."""

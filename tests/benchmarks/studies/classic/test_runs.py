@@ -2,11 +2,13 @@
 
 import dataclasses
 import importlib
+import itertools
 import re
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pandas as pd
 import pytest
@@ -18,7 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.protocol.plan import expand, of_task, settings
-from benchmarks.protocol.presets import PRESETS, SuitePreset, load_suite
+from benchmarks.protocol.presets import PRESETS, load_suite
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
@@ -33,9 +35,7 @@ from tests.benchmarks.smoke import preset_file, stop_after
 pytest.importorskip("minatar", reason="needs the extra 'classic'")
 
 
-@pytest.fixture
-def preset() -> SuitePreset:
-    return load_suite("tiny")
+TINY = load_suite("tiny")
 
 
 def tiny_file(folder: Path, **changes: Any) -> Path:
@@ -51,26 +51,22 @@ def tiny_file(folder: Path, **changes: Any) -> Path:
         *(("breakout", "rainbow"), ("breakout", "dqn")),
     ],
 )
-def test_a_run_that_was_stopped_twice_is_the_run_that_was_not(
-    task: str, method: str, preset: SuitePreset, tmp_path: Path
-) -> None:
+def test_a_run_stopped_twice_is_the_whole_run(task: str, method: str, tmp_path: Path) -> None:
     cell = of_task(method, task, 0)
     whole = RunFolder(tmp_path / "whole")
-    assert run_learner(preset, cell, whole) is not None
+    assert run_learner(TINY, cell, whole) is not None
     folder = RunFolder(tmp_path / "cut")
-    assert run_learner(preset, cell, folder, stop_after(20)) is None
+    assert run_learner(TINY, cell, folder, stop_after(20)) is None
     assert len(checkpoints(folder.checkpoint)) == 1
-    assert run_learner(preset, cell, folder, stop_after(15)) is None
-    summary: Any = run_learner(preset, cell, folder)
+    assert run_learner(TINY, cell, folder, stop_after(15)) is None
+    summary: Any = run_learner(TINY, cell, folder)
     assert len(summary["resumed_at"]) == 2
-    assert summary["timesteps"] >= preset.tasks[task].timesteps
+    assert summary["timesteps"] >= TINY.tasks[task].timesteps
     for name in ("curve", "episodes"):
         pd.testing.assert_frame_equal(folder.rows(name), whole.rows(name))
 
 
-def test_box2d_goes_on_with_other_episodes_than_those_of_the_beginning(
-    preset: SuitePreset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_box2d_resumes_with_other_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     starts: list[Any] = []
     reset = DummyVecEnv.reset
 
@@ -84,7 +80,7 @@ def test_box2d_goes_on_with_other_episodes_than_those_of_the_beginning(
         load_suite("control").tasks["lunarlander"],
         timesteps=400, eval_every=400, eval_episodes=1, methods={"dqn": short},
     )  # fmt: skip
-    preset = dataclasses.replace(preset, tasks={"lunarlander": lander}, methods=["dqn"])
+    preset = dataclasses.replace(TINY, tasks={"lunarlander": lander}, methods=["dqn"])
     folder = RunFolder(tmp_path / "run")
     cell = of_task("dqn", "lunarlander", 0)
     assert run_learner(preset, cell, folder, stop_after(40)) is None
@@ -95,23 +91,22 @@ def test_box2d_goes_on_with_other_episodes_than_those_of_the_beginning(
     assert (first != later).any()
 
 
-def test_how_often_a_policy_is_tested_changes_nothing(preset: SuitePreset, tmp_path: Path) -> None:
+def test_how_often_a_policy_is_tested_changes_nothing(tmp_path: Path) -> None:
     cell = of_task("rainbow", "cartpole", 0)
-    often = dataclasses.replace(preset.tasks["cartpole"], eval_every=50)
-    frequent = dataclasses.replace(preset, tasks={"cartpole": often})
-    result = []
-    for name, what in (("seldom", preset), ("often", frequent)):
-        folder = RunFolder(tmp_path / name)
+    often = dataclasses.replace(TINY.tasks["cartpole"], eval_every=50)
+    frequent = dataclasses.replace(TINY, tasks={"cartpole": often})
+    folders = RunFolder(tmp_path / "seldom"), RunFolder(tmp_path / "often")
+    for folder, what in zip(folders, (TINY, frequent), strict=True):
         run_learner(what, cell, folder)
-        result.append(folder.rows("episodes"))
-    curve = RunFolder(tmp_path / "often").rows("curve")
+    curve = folder.rows("curve")
     assert len(curve) > 10
     module = importlib.import_module("tensorboard.backend.event_processing.event_accumulator")
-    events = module.EventAccumulator(str(RunFolder(tmp_path / "often").tensorboard))
+    events = module.EventAccumulator(str(folder.tensorboard))
     events.Reload()
     shown = [(point.step, point.value) for point in events.Scalars("eval/mean_reward")]
     np.testing.assert_allclose(shown, curve[["timesteps", "return_mean"]], rtol=1e-6)
-    pd.testing.assert_frame_equal(result[0], result[1])
+    seldom, frequently = (each.rows("episodes") for each in folders)
+    pd.testing.assert_frame_equal(seldom, frequently)
 
 
 def test_no_test_episode_is_one_of_training_or_validation() -> None:
@@ -131,23 +126,19 @@ def test_no_test_episode_is_one_of_training_or_validation() -> None:
             assert not validation & training
 
 
-def test_evaluation_plays_each_seed_as_an_episode_of_its_own(preset: SuitePreset) -> None:
-    import gymnasium as gym
-
-    task = preset.tasks["cartpole"]
+def test_evaluation_plays_each_seed_as_an_episode_of_its_own() -> None:
+    task = TINY.tasks["cartpole"]
     model = build_model(task, "dqn", 0)
-    seeds = [11, 12, 13]
-    expected = []
+    seeds, env, expected = [11, 12, 13], gymnasium.make("CartPole-v1"), []
     for seed in seeds:
-        env = gym.make("CartPole-v1")
         observation, _ = env.reset(seed=seed)
-        total, ended = 0.0, False
+        steps, ended = 0, False
         while not ended:
             action, _ = model.predict(observation, deterministic=True)
             observation, reward, terminated, truncated, _ = env.step(action)
-            total += float(reward)
-            ended = terminated or truncated
-        expected.append((total, int(total)))
+            steps, ended = steps + 1, terminated or truncated
+            assert reward == 1.0
+        expected.append((steps, steps))
     assert evaluate(model_policy(model), task, seeds) == expected
 
 
@@ -190,53 +181,40 @@ def test_bad_presets_are_refused(change: dict[str, object], message: str, tmp_pa
         load_suite(str(tiny_file(tmp_path, **change)))
 
 
+TURNED = partial(FakeImageEnv, screen_height=36, screen_width=36, channel_first=False)
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("method", "change", "message"),
     [
-        ({"env_kwargs": {"no_such": 1}}, "cartpole-dqn-s0 cannot be built: .*no_such"),
-        ({"policy": "NoPolicy"}, "NoPolicy"),
-        ({"methods": {"dqn": {"learning_rate": "lin_fast"}}}, "'fast'"),
-        ({"methods": {"dqn": {"lerning_rate": 1.0}}}, "no argument 'lerning_rate'"),
-        ({"methods": {"dqn": {"seed": 1}}}, "no argument 'seed'"),
-        ({"methods": {"dqn": {"learning_rate": "1e-3"}}}, "1.0e-3"),
+        ("dqn", {"env_kwargs": {"no_such": 1}}, "cartpole-dqn-s0 cannot be built: .*no_such"),
+        ("dqn", {"policy": "NoPolicy"}, "NoPolicy"),
+        ("dqn", {"methods": {"dqn": {"learning_rate": "lin_fast"}}}, "'fast'"),
+        ("dqn", {"methods": {"dqn": {"lerning_rate": 1.0}}}, "no argument 'lerning_rate'"),
+        ("dqn", {"methods": {"dqn": {"seed": 1}}}, "no argument 'seed'"),
+        ("dqn", {"methods": {"dqn": {"learning_rate": "1e-3"}}}, "1.0e-3"),
+        ("dqn", {"env": "Turned", "policy": "CnnPolicy", "methods": {"dqn": {}}}, "channels last"),
+        ("random", {"env": "Pendulum-v1"}, "controls play numbers"),
+        ("random", {"env": "CartPool-v1"}, "CartPool"),
     ],
 )
 def test_what_cannot_be_built_is_said_before_anything_runs(
-    change: dict[str, Any], message: str, preset: SuitePreset
+    method: str, change: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    task = dataclasses.replace(preset.tasks["cartpole"], **change)
-    one = Classic(dataclasses.replace(preset, tasks={"cartpole": task}, methods=["dqn"]))
+    monkeypatch.setitem(envs.BY_NAME, "Turned", TURNED)
+    tasks = {"cartpole": dataclasses.replace(TINY.tasks["cartpole"], **change)}
+    one = Classic(dataclasses.replace(TINY, tasks=tasks, methods=["dqn"], controls=["random"]))
     with pytest.raises(BenchmarkError, match=message):
-        one.check(one.cells)
-
-
-def test_a_control_or_a_network_that_does_not_fit_is_said_before_anything_runs(
-    preset: SuitePreset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    turned = partial(FakeImageEnv, screen_height=36, screen_width=36, channel_first=False)
-    monkeypatch.setitem(envs.BY_NAME, "Turned", turned)
-    for change, methods, controls, message in (
-        ({"env": "Pendulum-v1"}, ["ppo"], ["random"], "controls play numbers"),
-        ({"env": "CartPool-v1"}, ["dqn"], ["random"], "CartPool"),
-        ({"env": "Turned", "policy": "CnnPolicy"}, ["dqn"], [], "channels last"),
-    ):
-        given: Any = {**change, "methods": {method: {} for method in methods}}
-        task = dataclasses.replace(preset.tasks["cartpole"], **given)
-        tasks: Any = {"tasks": {"task": task}, "methods": methods, "controls": controls}
-        one = Classic(dataclasses.replace(preset, **tasks))
-        cells = [cell for cell in one.cells if cell.learns != bool(controls)]
-        with pytest.raises(BenchmarkError, match=message):
-            one.check(cells)
+        one.check([cell for cell in one.cells if cell.method == method])
 
 
 def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
     """SB3 writes the optimizer's class into policy_kwargs, which no config.yaml can hold."""
     preset = load_suite("public")
     before = repr(preset)
-    for name in ("cartpole", "breakout"):
-        for method in preset.methods:
-            env: Any = build_model(preset.tasks[name], method, 0).get_env()
-            env.close()
+    for name, method in itertools.product(("cartpole", "breakout"), preset.methods):
+        env: Any = build_model(preset.tasks[name], method, 0).get_env()
+        env.close()
     assert repr(preset) == before
 
 
@@ -259,8 +237,6 @@ def test_a_task_gives_arguments_to_all_methods_and_skips_some() -> None:
 
 def test_a_method_may_have_seeds_of_its_own() -> None:
     preset = load_suite("control")
-    seeds = {name: set[int]() for name in [*preset.methods, *preset.controls]}
-    for cell in expand(preset):
-        seeds[cell.method].add(cell.seed)
-    assert seeds.pop("rainbow") == {11, 12, 13, 14, 15}
-    assert set(map(frozenset, seeds.values())) == {frozenset(preset.seeds)}
+    for name in (*preset.methods, *preset.controls):
+        seeds = {cell.seed for cell in expand(preset) if cell.method == name}
+        assert seeds == ({11, 12, 13, 14, 15} if name == "rainbow" else {*preset.seeds})

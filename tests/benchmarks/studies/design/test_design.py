@@ -68,9 +68,7 @@ def test_the_stored_table_is_what_the_command_would_write(result: list[DesignRun
 
 
 @pytest.mark.slow
-def test_figures_and_pages_come_from_stored_data_alone(
-    site: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_figures_and_pages_are_of_stored_data(site: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     here = site("design-optima")
     store = DesignStore(here.results)
     shutil.copytree(STORED.path, store.path, ignore=shutil.ignore_patterns("figures"))

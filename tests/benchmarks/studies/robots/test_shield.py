@@ -15,9 +15,7 @@ SMALL = ["--phases", "1", "--moves", "100", "--episodes", "1", "--seeds", "2", "
 SMALL += ["--machines", "1"]
 
 
-def test_the_command_writes_what_it_prints_and_goes_on(
-    site: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     here = site("shield")
     monkeypatch.setattr(shield, "CONFIGURATIONS", 20)
     monkeypatch.setattr(shield, "MOVES", 500)
