@@ -1,6 +1,6 @@
 """Settings of models that learn within a second, toy environments, batches, own networks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -27,6 +27,16 @@ FAST: dict[str, Any] = {
 def make(policy: Any = "MlpPolicy", env: Any = "CartPole-v1", **settings: Any) -> Rainbow:
     """A small model."""
     return Rainbow(policy, env, **{**FAST, **settings})
+
+
+def weights(net: nn.Module) -> th.Tensor:
+    """A copy of all parameters in one vector."""
+    return nn.utils.parameters_to_vector(net.parameters()).detach().clone()
+
+
+def identical(ours: Mapping[str, th.Tensor], others: Mapping[str, th.Tensor]) -> None:
+    """Fails by the name of a tensor that is not the same to the last bit."""
+    th.testing.assert_close(ours, others, rtol=0, atol=0)
 
 
 class Toy(gym.Env):

@@ -16,18 +16,21 @@ from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
-from tests.sb3_rainbow.small import Extracting, make, random_batch
+from tests.sb3_rainbow.small import Extracting, identical, make, make_policy, random_batch, weights
 
 N_ACTIONS = 5
 BOX, IMAGES = spaces.Box(-1, 1, (6,), np.float32), spaces.Box(0, 255, (2, 36, 36), np.uint8)
 
 
 class Convolutions(Extracting):
-    """Small, learning, and nothing that the kernels know."""
+    """Small, learning unless they are frozen, and nothing that the kernels know."""
 
-    def __init__(self, space: spaces.Space, norm: type[nn.Module] = nn.Identity) -> None:
+    def __init__(
+        self, space: spaces.Space, norm: type[nn.Module] = nn.Identity, frozen: bool = False
+    ) -> None:
         layers = nn.Conv2d(2, 4, 3, stride=2), norm(4), nn.ReLU(), nn.Flatten()
         super().__init__(space, lambda: nn.Sequential(*layers), 4 * 17 * 17)
+        self.requires_grad_(not frozen)
 
 
 def make_learner(
@@ -47,26 +50,20 @@ def make_learner(
     policy = kind(space, spaces.Discrete(N_ACTIONS), lambda _: rate, **settings)
     for p in policy.q_net_target.parameters():
         p.data += 0.3 * th.randn_like(p)
-    learner = Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
-    assert space is IMAGES or (learner.kernels() is not None) == cpu_kernels
-    return learner
+    return Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
 
 
-def make_batch(seed: int, masked: bool) -> Batch:
-    masks = th.rand(32, N_ACTIONS, generator=th.Generator().manual_seed(seed)) < 0.5
+def make_batch(seed: int, masked: bool = False, images: bool = False) -> Batch:
+    """In the one of seed 3 some actions were never taken."""
+    generator = th.Generator().manual_seed(seed)
+    masks = th.rand(32, N_ACTIONS, generator=generator) < 0.5
     masks[1:, seed % N_ACTIONS] = True
     masks[0] = False  # as someone who fills a buffer by hand may leave it
-    batch = random_batch(6, N_ACTIONS, 32, seed, masks if masked else None)
-    # in one batch some actions were never taken
+    batch = random_batch(6, N_ACTIONS, 32, seed, masks if masked or images else None)
+    if images:
+        drawn = th.randint(0, 256, (2, 32, 2, 36, 36), generator=generator, dtype=th.uint8)
+        batch = batch._replace(observations=drawn[0], next_observations=drawn[1])
     return batch._replace(actions=batch.actions.clamp(max=2)) if seed == 3 else batch
-
-
-def make_images(seed: int) -> Batch:
-    generator = th.Generator().manual_seed(seed)
-    images = th.randint(0, 256, (2, 32, 2, 36, 36), generator=generator, dtype=th.uint8)
-    return make_batch(seed, masked=True)._replace(
-        observations=images[0], next_observations=images[1]
-    )
 
 
 SEEN: dict[str, Any] = {"space": IMAGES, "features_extractor_class": Convolutions, "n_atoms": 11}
@@ -75,7 +72,7 @@ SEEN: dict[str, Any] = {"space": IMAGES, "features_extractor_class": Convolution
 @pytest.mark.parametrize("action", [-1, N_ACTIONS])
 def test_an_action_outside_of_the_space_is_an_error(action: int) -> None:
     """As someone who fills a buffer by hand may leave it; torch refuses it too."""
-    batch = make_batch(0, masked=False)
+    batch = make_batch(0)
     batch.actions[3] = action
     with pytest.raises(IndexError, match="outside of the action space"):
         make_learner(True).update(batch)
@@ -111,10 +108,8 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
     assert ours.kernels() is not None
     assert reference.kernels() is None
     sees = "space" in kwargs
-    close: dict[str, Any] = {"rtol": 1e-3, "atol": 1e-5}
-    if sees:
-        close = {"rtol": 1e-2, "atol": 1e-4}
-    batches = [make_images(s) if sees else make_batch(s, masked=s % 2 == 0) for s in range(4)]
+    rtol, atol = (1e-2, 1e-4) if sees else (1e-3, 1e-5)
+    batches = [make_batch(seed, masked=seed % 2 == 0, images=sees) for seed in range(4)]
     for seed, batch in enumerate(batches):
         results = []
         for learner in (ours, reference):
@@ -126,42 +121,43 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
             if not together:
                 learner.move_target(0.1)
         th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-4 if sees else 1e-5)
-        states, others = (x.policy.state_dict() for x in (ours, reference))
-        for name, value in others.items():
-            th.testing.assert_close(states[name], value, rtol=1e-4, atol=1e-5, msg=name)
+        states = (x.policy.state_dict() for x in (ours, reference))
+        th.testing.assert_close(*states, rtol=1e-4, atol=1e-5)
     for p, q in zip(*(x.policy.q_net.parameters() for x in (ours, reference)), strict=True):
         assert p.grad is not None
-        th.testing.assert_close(p.grad, q.grad, **close)
-        state = [x.policy.optimizer.state[y] for x, y in ((ours, p), (reference, q))]
-        assert state[0]["step"] == state[1]["step"] == 6
-        assert state[0]["exp_avg"].stride() == p.stride()
-        th.testing.assert_close(state[0]["exp_avg"], state[1]["exp_avg"], **close)
+        th.testing.assert_close(p.grad, q.grad, rtol=rtol, atol=atol)
+        state, other = ours.policy.optimizer.state[p], reference.policy.optimizer.state[q]
+        assert state["step"] == other["step"] == 6
+        assert state["exp_avg"].stride() == p.stride()
+        th.testing.assert_close(state["exp_avg"], other["exp_avg"], rtol=rtol, atol=atol)
     for original in (ours, reference):  # and a copy goes on as what it was made of
         after = []
         for learner in (original, pickle.loads(pickle.dumps(original))):
             th.manual_seed(9)
             for seed in range(9, 12):
-                learner.update(make_images(seed) if sees else make_batch(seed, masked=True))
+                learner.update(make_batch(seed, masked=True, images=sees))
                 learner.move_target(0.1)
             after.append(learner.policy.state_dict())
-        for name, value in after[0].items():
-            assert th.equal(value, after[1][name]), name
+        identical(*after)
 
 
 @pytest.mark.parametrize(
-    "policy_kwargs",
+    "kwargs",
     [
         {"activation_fn": nn.Tanh},
         {"optimizer_class": th.optim.RMSprop},
         {"optimizer_kwargs": {"amsgrad": True}},
         {"optimizer_kwargs": {"decoupled_weight_decay": True, "weight_decay": 0.1}},
+        {**SEEN, "net_arch": [400]},  # too large behind one that learns
+        {**SEEN, "net_arch": [8], "features_extractor_kwargs": {"norm": nn.BatchNorm2d}},
+        {**SEEN, "net_arch": [8], "features_extractor_kwargs": {"frozen": True}},
     ],
     ids=str,
 )
-def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> None:
-    model = make(policy_kwargs=policy_kwargs)
-    assert model._learner.kernels() is None
-    model.learn(40)
+def test_torch_does_what_the_kernels_cannot(kwargs: dict[str, Any]) -> None:
+    learner = make_learner(True, **kwargs)
+    assert learner.kernels() is None
+    learner.update(make_batch(0, images="space" in kwargs))
 
 
 @pytest.mark.parametrize("kind", [th.optim.Adam, th.optim.SGD])
@@ -170,13 +166,13 @@ def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
     model.policy.optimizer = kind(model.q_net.parameters(), lr=1e-3)
     calls: list[Any] = []
     model.policy.optimizer.register_step_post_hook(lambda *_: calls.append(1))
-    before = nn.utils.parameters_to_vector(model.q_net.parameters())
+    before = weights(model.q_net)
     model.learn(60, reset_num_timesteps=False)
     assert (model._learner.kernels() is not None) == (kind is th.optim.Adam)
     assert len(calls) == 60
     steps = {int(state["step"]) for state in model.policy.optimizer.state.values() if state}
     assert steps == ({60} if kind is th.optim.Adam else set())
-    assert not th.equal(before, nn.utils.parameters_to_vector(model.q_net.parameters()))
+    assert not th.equal(before, weights(model.q_net))
 
 
 def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
@@ -188,29 +184,30 @@ def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
 
 @pytest.mark.parametrize("images", [False, True])
 def test_updates_that_nobody_disturbs_are_those_that_look_each_time(images: bool) -> None:
-    weights = []
+    results = []
     for look_once in (True, False):
         learner = make_learner(True, **(SEEN if images else {}))
+        assert learner.kernels() is not None
         th.manual_seed(5)
         for seed in range(0, 12, 4):
             with learner.undisturbed() if look_once else nullcontext():
                 for i in range(seed, seed + 4):
-                    learner.update(make_images(i) if images else make_batch(i, False), tau=0.1)
+                    learner.update(make_batch(i, images=images), tau=0.1)
             learner.policy.optimizer.param_groups[0]["lr"] *= 0.5  # what happens between counts
             with th.no_grad():
                 next(learner.policy.q_net.parameters()).mul_(0.9)
         assert {int(s["step"]) for s in learner.policy.optimizer.state.values()} == {12}
-        weights.append(nn.utils.parameters_to_vector(learner.policy.parameters()))
-    assert th.equal(*weights)
+        results.append(weights(learner.policy))
+    assert th.equal(*results)
 
 
 def test_a_round_that_fails_ends_the_trust() -> None:
     learner, steps = make_learner(True), list[int]()
-    learner.update(make_batch(0, False))
+    learner.update(make_batch(0))
     with pytest.raises(AttributeError), learner.undisturbed():
-        learner.update(make_batch(1, False)._replace(actions=None))  # type: ignore[arg-type]
+        learner.update(make_batch(1)._replace(actions=None))  # type: ignore[arg-type]
     learner.policy.optimizer.register_step_post_hook(lambda *_: steps.append(1))
-    learner.update(make_batch(2, False))
+    learner.update(make_batch(2))
     assert steps == [1]
 
 
@@ -222,25 +219,21 @@ def test_a_batch_of_one(cpu_kernels: bool, settings: dict[str, Any]) -> None:
     logged = dict(model.logger.name_to_value)
     assert {"train/loss", "train/max_q"} <= set(logged)
     assert np.isfinite(list(logged.values())).all(), logged
-    assert th.isfinite(nn.utils.parameters_to_vector(model.q_net.parameters())).all()
+    assert th.isfinite(weights(model.q_net)).all()
 
 
-def test_extractors_that_the_kernels_stand_behind() -> None:
-    def applies(policy: type[MlpPolicy], space: spaces.Space) -> bool:
-        made = policy(space, spaces.Discrete(2), lambda _: 1e-3, distributional="quantile")
-        return Learner(made, double_q=True, max_grad_norm=1.0).kernels() is not None
-
-    box, image = spaces.Box(-1, 1, (4,)), spaces.Box(0, 255, (3, 36, 36), np.uint8)
-    assert applies(MlpPolicy, box)
-    assert applies(MultiInputPolicy, spaces.Dict(a=box, b=spaces.Discrete(3)))
-    assert applies(MultiInputPolicy, spaces.Dict(a=box, b=image))
+@pytest.mark.parametrize("other", [spaces.Discrete(3), IMAGES])
+def test_the_kernels_stand_behind_extractors_of_dicts(other: spaces.Space) -> None:
+    policy = make_policy(spaces.Dict(a=BOX, b=other), 2, MultiInputPolicy)
+    assert Learner(policy, double_q=True, max_grad_norm=1.0).kernels() is not None
 
 
 @pytest.mark.parametrize("network", ["q_net", "q_net_target"])
 @pytest.mark.parametrize("layer", [0, -1])
 def test_a_layer_whose_weights_are_replaced_counts_and_trains(network: str, layer: int) -> None:
     ours, reference = make_learner(True), make_learner(False)
-    batch, results = make_batch(0, masked=False), []
+    assert ours.kernels() is not None
+    batch, results = make_batch(0), []
     for learner in (ours, reference):
         th.manual_seed(1)
         learner.update(batch)
@@ -253,9 +246,9 @@ def test_a_layer_whose_weights_are_replaced_counts_and_trains(network: str, laye
         results.append(learner.update(batch))
         learner.move_target(0.1)
         assert not th.equal(parameter, before)
-    th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-5)
-    for name, value in reference.policy.state_dict().items():
-        th.testing.assert_close(ours.policy.state_dict()[name], value, rtol=1e-4, atol=1e-5)
+    th.testing.assert_close(*results, rtol=1e-4, atol=1e-5)
+    states = (x.policy.state_dict() for x in (ours, reference))
+    th.testing.assert_close(*states, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -290,15 +283,3 @@ def test_a_target_that_is_no_number_stays_in_its_array(bad: float, where: str) -
     assert target[0].sum() == pytest.approx(1.0)
     if np.isnan(bad):
         assert np.isnan(target[1]).all()
-
-
-@pytest.mark.parametrize("why", ["buffers", "frozen", "large"])
-def test_extractors_that_are_left_to_torch(why: str) -> None:
-    kwargs = {**SEEN, "net_arch": [400 if why == "large" else 8]}
-    if why == "buffers":
-        kwargs["features_extractor_kwargs"] = {"norm": nn.BatchNorm2d}
-    learner = make_learner(True, **kwargs)
-    if why == "frozen":
-        learner.policy.q_net.features_extractor.requires_grad_(False)
-    assert learner.kernels() is None
-    learner.update(make_images(0))

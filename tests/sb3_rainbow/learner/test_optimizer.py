@@ -10,27 +10,25 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import nn
 
 from sb3_rainbow import Rainbow
-from tests.sb3_rainbow.small import make
-
-PATHS = pytest.mark.parametrize("kernels", [True, False], ids=["kernels", "torch"])
+from tests.sb3_rainbow.small import make, weights
 
 
 def make_model(kernels: bool, **kwargs: Any) -> Rainbow:
-    """On one of the two ways of an update."""
     return make(learning_rate=1e-4, gradient_steps=1, cpu_kernels=kernels, **kwargs)
+
+
+@pytest.fixture(name="model", params=[True, False], ids=["kernels", "torch"])
+def model_of_each_kind(request: pytest.FixtureRequest) -> Rainbow:
+    """On each of the two ways of an update."""
+    return make_model(request.param)
 
 
 def learn(model: Rainbow, total: int = 40) -> Rainbow:
     return model.learn(total, reset_num_timesteps=False)
 
 
-def weights(model: Rainbow) -> th.Tensor:
-    return nn.utils.parameters_to_vector(model.q_net.parameters()).detach().clone()
-
-
-@PATHS
-def test_states_are_exchanged_with_a_plain_adam(kernels: bool) -> None:
-    model = learn(make_model(kernels))
+def test_states_are_exchanged_with_a_plain_adam(model: Rainbow) -> None:
+    learn(model)
     copies = [nn.Parameter(p.detach().clone()) for p in model.q_net.parameters()]
     plain = th.optim.Adam(copies, lr=1e-4)
     plain.load_state_dict(copy.deepcopy(model.policy.optimizer.state_dict()))
@@ -41,7 +39,7 @@ def test_states_are_exchanged_with_a_plain_adam(kernels: bool) -> None:
             p.grad, q.grad = g.clone(), g.clone()
         plain.step()
         optimizer.step()
-        th.testing.assert_close(nn.utils.parameters_to_vector(copies), weights(model))
+        th.testing.assert_close(nn.utils.parameters_to_vector(copies), weights(model.q_net))
         # and back
         optimizer.load_state_dict(copy.deepcopy(plain.state_dict()))
     n_steps = int(next(iter(optimizer.state.values()))["step"])
@@ -49,7 +47,7 @@ def test_states_are_exchanged_with_a_plain_adam(kernels: bool) -> None:
     assert {int(s["step"]) for s in optimizer.state.values()} == {n_steps + 1}
 
 
-@PATHS
+@pytest.mark.parametrize("kernels", [True, False])
 def test_hooks_fire_once_per_update_and_change_nothing(kernels: bool) -> None:
     plain = learn(make_model(kernels), 60)
     model = make_model(kernels)
@@ -58,12 +56,11 @@ def test_hooks_fire_once_per_update_and_change_nothing(kernels: bool) -> None:
     model.policy.optimizer.register_step_post_hook(lambda *_: seen.append("post"))
     learn(model, 60)
     assert seen == ["pre", "post"] * model._n_updates
-    assert th.equal(weights(model), weights(plain))
+    assert th.equal(weights(model.q_net), weights(plain.q_net))
 
 
-@PATHS
-def test_a_pre_hook_sees_the_clipped_gradient_and_may_change_it(kernels: bool) -> None:
-    model = make_model(kernels, max_grad_norm=1e-3)
+def test_a_pre_hook_sees_the_clipped_gradient_and_may_change_it(model: Rainbow) -> None:
+    model.max_grad_norm = 1e-3
     norms: list[float] = []
 
     def hook(*_: Any) -> None:
@@ -73,10 +70,10 @@ def test_a_pre_hook_sees_the_clipped_gradient_and_may_change_it(kernels: bool) -
             g.zero_()
 
     model.policy.optimizer.register_step_pre_hook(hook)
-    before = weights(model)
+    before = weights(model.q_net)
     learn(model)
     assert norms == pytest.approx([1e-3] * len(norms), rel=1e-3)
-    assert th.equal(before, weights(model))
+    assert th.equal(before, weights(model.q_net))
 
 
 @pytest.mark.parametrize("put_in", [lambda g: -g, lambda g: None])
@@ -89,14 +86,12 @@ def test_a_gradient_that_a_pre_hook_puts_in_is_the_one_that_counts(put_in: Any) 
     for kernels in (True, False):
         model = make_model(kernels)
         model.policy.optimizer.register_step_pre_hook(swap)
-        results.append(weights(learn(model, 80)))
+        results.append(weights(learn(model, 80).q_net))
     th.testing.assert_close(*results, atol=2e-4, rtol=0.0)  # of 1.5e-3 that they move
     assert model._n_updates > 10
 
 
-@PATHS
-def test_a_schedule_of_torch_counts_the_steps(kernels: bool) -> None:
-    model = make_model(kernels)
+def test_a_schedule_of_torch_counts_the_steps(model: Rainbow) -> None:
     th.optim.lr_scheduler.ExponentialLR(model.policy.optimizer, 0.9)
     learn(model)
     assert model.policy.optimizer._opt_called  # type: ignore[attr-defined]
@@ -112,7 +107,7 @@ def test_an_optimizer_of_some_parameters_moves_those_alone() -> None:
     assert moved == {n for n in before if n.startswith("layers.1.")}
 
 
-@PATHS
+@pytest.mark.parametrize("kernels", [True, False])
 def test_a_policy_that_learned_pickles_to_its_numbers(kernels: bool) -> None:
     model = make_model(kernels, policy_kwargs={"net_arch": [64, 64]})
     n_weights = sum(p.numel() for p in model.policy.parameters())
@@ -124,22 +119,20 @@ def test_a_policy_that_learned_pickles_to_its_numbers(kernels: bool) -> None:
     assert len(pickle.dumps(model.q_net)) < 4 * n_weights // 2 + overhead
     assert len(pickle.dumps(model.policy.state_dict())) < 4 * n_weights + overhead
     assert len(pickle.dumps(model.get_parameters())) < 4 * 2 * n_weights + overhead
-    before = weights(model)
+    before = weights(model.q_net)
     learn(model, 4)
-    assert not th.equal(before, weights(model))
+    assert not th.equal(before, weights(model.q_net))
 
 
-@PATHS
-def test_a_deep_copy_learns_on_as_the_original(kernels: bool) -> None:
-    model = learn(make_model(kernels))
-    twin = copy.deepcopy(model)
+def test_a_deep_copy_learns_on_as_the_original(model: Rainbow) -> None:
+    twin = copy.deepcopy(learn(model))
     results = []
     for each in (model, twin):
         set_random_seed(3)
         each.train(6, 8)
-        results.append(weights(each))
+        results.append(weights(each.q_net))
     assert th.equal(*results)
     # and apart from the original
     for p in twin.q_net.parameters():
         p.data += 1.0
-    assert th.equal(results[0], weights(model))
+    assert th.equal(results[0], weights(model.q_net))

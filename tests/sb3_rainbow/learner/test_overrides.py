@@ -1,6 +1,7 @@
 """Whatever a user overrides or replaces takes part in acting and in learning, on every path."""
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -11,28 +12,13 @@ from torch.nn.utils import parametrizations
 
 from sb3_rainbow import MlpPolicy, Rainbow
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from tests.sb3_rainbow.small import FAST, make, policy_of
+from tests.sb3_rainbow.small import FAST, make, policy_of, weights
 
 ACTIVATIONS = pytest.mark.parametrize("activation", [nn.ReLU, nn.Tanh])
 
 
-def make_model(policy: Any = "MlpPolicy", activation: type[nn.Module] = nn.ReLU) -> Rainbow:
-    return make(policy, policy_kwargs={"net_arch": [16], "activation_fn": activation})
-
-
-def calls_during(model: Rainbow, calls: list[Any]) -> tuple[int, int]:
-    """Calls in choosing one action, and within two updates."""
-    model.learn(24)
-    model._n_updates = 50  # no look for the logs now
-    result = []
-    for action in (
-        lambda: model._explore(np.zeros((1, 4), np.float32), None),
-        lambda: model.train(2, 8),
-    ):
-        del calls[:]
-        action()
-        result.append(len(calls))
-    return result[0], result[1]
+def kwargs_of(activation: type[nn.Module]) -> dict[str, Any]:
+    return {"net_arch": [16], "activation_fn": activation}
 
 
 @pytest.mark.parametrize("where", ["class", "instance"])
@@ -56,18 +42,24 @@ def test_methods_of_the_network_and_of_the_policy(
 
     if where == "class":
         changed: Any = type("Changed", (kind,), {method: overridden})
-        model = make_model(changed if kind is MlpPolicy else policy_of(changed), activation)
+        policy = changed if kind is MlpPolicy else policy_of(changed)
+        model = make(policy, policy_kwargs=kwargs_of(activation))
     else:
-        model = make_model(activation=activation)
+        model = make(policy_kwargs=kwargs_of(activation))
         model.learn(24)  # with kernels, where there are any
         nets = model.q_net, model.q_net_target
         for part in (model.policy,) if kind is MlpPolicy else nets:
             setattr(part, method, lambda *a, _part=part, **k: overridden(_part, *a, **k))
-    acting, learning = calls_during(model, calls)
-    assert acting == 1
+    model.learn(24)
+    model._n_updates = 50  # no look for the logs now
+    calls.clear()
+    model._explore(np.zeros((1, 4), np.float32), None)
+    assert len(calls) == 1
     if kind is RainbowNetwork:
+        calls.clear()
+        model.train(2, 8)
         # Twice the online network, once the target network
-        assert learning == 2 * (1 if method == "forward" else 3)
+        assert len(calls) == 2 * (1 if method == "forward" else 3)
         assert model._learner.kernels() is None
 
 
@@ -82,7 +74,7 @@ def test_predict_of_the_algorithm(activation: type[nn.Module]) -> None:
             actions, state = super().predict(observation, state, episode_start, deterministic)
             return np.ones_like(actions), state
 
-    kwargs: Any = {**FAST, "policy_kwargs": {"net_arch": [16], "activation_fn": activation}}
+    kwargs: Any = {**FAST, "policy_kwargs": kwargs_of(activation)}
     model: Any = Always("MlpPolicy", "CartPole-v1", **kwargs).learn(60)
     assert (model.replay_buffer.actions[20:60] == 1).all()
     assert asked == {False}
@@ -128,16 +120,13 @@ def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], Any]) ->
         assert model._learner.kernels() is None
         after = list(model.q_net.parameters())
         assert not any(th.equal(p, q) for p, q in zip(before, after, strict=True))
-        result.append((nn.utils.parameters_to_vector(after), model.replay_buffer))
-    th.testing.assert_close(result[0][0], result[1][0])
-    np.testing.assert_array_equal(result[0][1].actions, result[1][1].actions)  # type: ignore[union-attr]
+        buffer: Any = model.replay_buffer
+        result.append((weights(model.q_net), th.from_numpy(buffer.actions)))
+    th.testing.assert_close(*result)
 
 
-def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:
-    model = make_model()
-    handle = model.q_net.layers[0].register_forward_hook(lambda *_: None)
-    assert model._learner.kernels() is None
-    handle.remove()
+def test_a_network_of_another_type_gets_its_kernels_back_with_its_own() -> None:
+    model = make()
     assert model._learner.kernels() is not None
     model.policy.to(th.float64)
     assert model._learner.kernels() is None
@@ -146,16 +135,23 @@ def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:
     model.learn(40)
 
 
-@pytest.mark.parametrize("hook", ["register_hook", "register_post_accumulate_grad_hook"])
-def test_hooks_on_parameters_are_called(hook: str) -> None:
-    model = make_model()
-    model.learn(24)
-    weight = model.q_net.layers[0].weight_mu
+@pytest.mark.parametrize(
+    ("part", "hook"),
+    [
+        ("layers.0", "register_forward_hook"),
+        ("layers.0.weight_mu", "register_hook"),
+        ("layers.0.weight_mu", "register_post_accumulate_grad_hook"),
+    ],
+)
+def test_hooks_are_called_and_the_kernels_come_back_without_them(part: str, hook: str) -> None:
+    model = make().learn(24)
+    model._n_updates = 50  # no look for the logs now
     calls: list[Any] = []
-    handle = getattr(weight, hook)(lambda given: calls.append(given))
+    register = attrgetter(f"{part}.{hook}")(model.q_net)
+    handle = register(lambda *given: calls.append(given))
     assert model._learner.kernels() is None
     model.train(2, 8)
-    assert len(calls) == 2
+    assert len(calls) == (4 if hook == "register_forward_hook" else 2)  # there, once to choose
     handle.remove()
     assert model._learner.kernels() is not None
 

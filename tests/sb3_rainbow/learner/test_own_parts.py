@@ -1,6 +1,7 @@
 """Layers, heads and noise of a user's own take part as they would in SB3."""
 
 import io
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,11 +17,18 @@ from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
 from sb3_rainbow.learner.learner import as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from tests.sb3_rainbow import small
-from tests.sb3_rainbow.small import extracting, policy_of
+from tests.sb3_rainbow.small import extracting, policy_of, weights
 
 
 def make(policy: Any = "MlpPolicy", env: Any = "CartPole-v1", **kwargs: Any) -> Rainbow:
     return small.make(policy, env, **{"train_freq": 1, "policy_kwargs": {}, **kwargs})
+
+
+def replace_layer(model: Rainbow, index: int, build: Callable[[], nn.Module]) -> None:
+    """In both networks, of which the target does not learn."""
+    for net in (model.q_net, model.q_net_target):
+        net.layers[index] = build()
+    model.q_net_target.requires_grad_(False)
 
 
 def test_an_optimizer_keeps_what_is_not_the_networks() -> None:
@@ -29,8 +37,7 @@ def test_an_optimizer_keeps_what_is_not_the_networks() -> None:
     model.policy.optimizer.add_param_group({"params": [aux]})
     aux.register_hook(lambda _: th.ones(1))
     model.q_net.layers[0].register_forward_hook(lambda *given: given[-1] + 0.0 * aux)
-    model.q_net.layers[2] = NoisyLinear(64, 153)
-    model.policy.q_net_target.layers[2] = NoisyLinear(64, 153).requires_grad_(False)
+    replace_layer(model, 2, lambda: NoisyLinear(64, 153))
     model.learn(40)
     own, other = model.policy.optimizer.param_groups
     assert {id(p) for p in own["params"]} == {id(p) for p in model.q_net.parameters()}
@@ -59,14 +66,14 @@ def test_what_an_extractor_does_not_train_stays(kernels: bool) -> None:
     kwargs = {"features_extractor_class": Backbone, "optimizer_kwargs": {"weight_decay": 0.1}}
     model = make(policy_kwargs=kwargs, cpu_kernels=kernels)
     extractor: Any = model.q_net.features_extractor
-    first, second = (layer.weight.detach().clone() for layer in extractor.children())
+    first, second = weights(extractor.pretrained), weights(extractor.tuned)
     model.learn(60)
-    assert th.equal(extractor.pretrained.weight, first)
-    moved = extractor.tuned.weight.detach().clone()
+    assert th.equal(weights(extractor.pretrained), first)
+    moved = weights(extractor.tuned)
     assert not th.equal(moved, second)
     extractor.frozen = True
     model.learn(60, reset_num_timesteps=False)
-    assert th.equal(extractor.tuned.weight, moved)
+    assert th.equal(weights(extractor.tuned), moved)
     assert (model._learner.kernels() is not None) == kernels
 
 
@@ -115,7 +122,7 @@ def test_parts_of_all_kinds_learn_as_torch_does(policy: Any, kwargs: Any, change
         shared = [p.is_shared() for p in model.policy.parameters()]
         model.learn(60)
         assert [p.is_shared() for p in model.policy.parameters()] == shared
-        vectors.append(th.from_numpy(model.policy.parameters_to_vector()))
+        vectors.append(weights(model.policy))
     th.testing.assert_close(*vectors, atol=5e-3, rtol=0.0)  # rounding, 60 updates later
 
 
@@ -134,9 +141,7 @@ class Ones(NoisyLinear):
 
 def test_a_layer_draws_noise_of_its_own() -> None:
     model = make()
-    for net in (model.policy.q_net, model.policy.q_net_target):
-        net.layers[2] = Ones(64, 153)
-    model.policy.q_net_target.requires_grad_(False)
+    replace_layer(model, 2, lambda: Ones(64, 153))
     model.learn(40)
     assert bool((model.q_net.layers[2].epsilon_in == 1.0).all())  # type: ignore[union-attr]
 
@@ -164,28 +169,21 @@ class SharedPolicy(MlpPolicy):
         return self.shared
 
 
-def test_an_extractor_that_both_networks_share_learns() -> None:
-    model = make(SharedPolicy, policy_kwargs={"features_extractor_class": Backbone})
-    layer: Any = model.q_net.features_extractor.tuned
-    assert model.policy.q_net_target.features_extractor is model.q_net.features_extractor
-    before = layer.weight.detach().clone()
-    model.learn(60)
-    assert not th.equal(before, layer.weight)
-    assert not any(p.requires_grad for p in model.policy.q_net_target.layers.parameters())
-
-
 class Frozen(Backbone):
     def __init__(self, space: spaces.Space) -> None:
         super().__init__(space)
         self.tuned.requires_grad_(False)
 
 
-def test_a_frozen_extractor_that_both_networks_share_stays_frozen() -> None:
-    model = make(SharedPolicy, policy_kwargs={"features_extractor_class": Frozen})
+@pytest.mark.parametrize("kind", [Backbone, Frozen])
+def test_an_extractor_that_both_networks_share_learns_unless_it_is_frozen(kind: Any) -> None:
+    model = make(SharedPolicy, policy_kwargs={"features_extractor_class": kind})
     layer: Any = model.q_net.features_extractor.tuned
-    before = layer.weight.detach().clone()
+    assert model.q_net_target.features_extractor is model.q_net.features_extractor
+    before = weights(layer)
     model.learn(60)
-    assert th.equal(before, layer.weight)
+    assert th.equal(before, weights(layer)) == (kind is Frozen)
+    assert not any(p.requires_grad for p in model.q_net_target.layers.parameters())
 
 
 @pytest.mark.parametrize("policy", ["MlpPolicy", SharedPolicy])
@@ -201,9 +199,9 @@ def test_an_extractor_may_find_its_sizes_out(kernels: bool) -> None:
     kwargs = extracting(lambda: nn.Sequential(nn.LazyLinear(8), nn.ReLU()), 8)
     model = make(policy_kwargs=kwargs, cpu_kernels=kernels)
     (layer,) = (m for m in model.q_net.features_extractor.modules() if isinstance(m, nn.Linear))
-    before = layer.weight.detach().clone()
+    before = weights(layer)
     model.learn(60)
-    assert not th.equal(before, layer.weight)
+    assert not th.equal(before, weights(layer))
 
 
 def test_a_foreign_sample_has_a_weight_and_a_discount_for_each_transition() -> None:
@@ -231,9 +229,7 @@ def test_noise_of_a_subclass_is_drawn_and_silenced() -> None:
 
 def test_dropout_put_into_the_target_is_off() -> None:
     model = make()
-    for net in (model.policy.q_net, model.policy.q_net_target):
-        net.layers[1] = nn.Sequential(nn.Linear(64, 64), nn.Dropout(0.5))
-    model.policy.q_net_target.requires_grad_(False)
+    replace_layer(model, 1, lambda: nn.Sequential(nn.Linear(64, 64), nn.Dropout(0.5)))
     model.learn(40)
     assert not model.policy.q_net_target.layers[1].training
 
@@ -242,13 +238,13 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
     model = make(tau=0.5, prioritized=False, n_steps=1)
     model.save(tmp_path / "model")
     path = tmp_path / "model.zip"
-    loaded = Rainbow.load(path, tau=None, prioritized=None, n_steps=None)
+    given: Any = dict.fromkeys(("tau", "prioritized", "n_steps", "learning_rate", "distributional"))
+    loaded = Rainbow.load(path, **given)
     assert (loaded.tau, loaded.prioritized, loaded.n_steps) == (5e-3, True, 3)
+    assert loaded.lr_schedule(0.0) == pytest.approx(1e-4)
+    assert loaded.distributional == "quantile"
     assert Rainbow.load(path, tau=None, target_update_interval=100).tau == 1.0
     assert Rainbow.load(path).tau == 0.5
-    assert Rainbow.load(path, learning_rate=None).lr_schedule(0.0) == pytest.approx(1e-4)
-    assert Rainbow.load(path, distributional=None).distributional == "quantile"
-    assert isinstance(loaded.action_space, spaces.Discrete)
     with pytest.raises(ValueError, match="tau"):
         Rainbow.load(path, tau=2.0)
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import gymnasium as gym
 import numpy as np
@@ -15,13 +16,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList, StopT
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import (
-    DummyVecEnv,
-    SubprocVecEnv,
-    VecEnv,
-    VecEnvWrapper,
-    VecNormalize,
-)
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor, VecNormalize
 
 from sb3_rainbow import PrioritizedReplayBuffer, Rainbow, TerminalActionMask, rainbow
 from sb3_rainbow.learner.learner import as_batch
@@ -64,23 +59,23 @@ class Unknown(ClockEnv):
 
 
 def mask_at(episode: float, time: float) -> np.ndarray:
-    allowed = np.zeros(N_ACTIONS, dtype=bool)
-    allowed[[int(3 * episode + time) % N_ACTIONS, int(episode + 2 * time + 1) % N_ACTIONS]] = True
-    return allowed
+    allowed = np.array([3 * episode + time, episode + 2 * time + 1]) % N_ACTIONS
+    return np.isin(np.arange(N_ACTIONS), allowed)
 
 
-def small_model(env: gym.Env | VecEnv, **kwargs: Any) -> Rainbow:
+def small_model(env: Any, **kwargs: Any) -> Rainbow:
     return make(env=env, **{"train_freq": 1, "buffer_size": 1000, "batch_size": 16, **kwargs})
 
 
-def check_stored_masks(buffer: Any, n_expected: int) -> None:
-    """Every drawable transition has the mask of the very state that its window ended in."""
+def check_stored_masks(buffer: Any, n_expected: int) -> Any:
+    """Every drawable transition, with the mask of the very state that its window ended in."""
     assert isinstance(buffer, PrioritizedReplayBuffer)
     samples: Any = buffer.samples_at(np.flatnonzero(buffer.tree.leaves))
     assert len(samples.indices) == n_expected
     for obs, mask in zip(samples.next_observations, samples.next_action_masks, strict=True):
         np.testing.assert_array_equal(mask, mask_at(*obs.tolist()))
     assert (np.asarray(samples.next_observations)[:, 1] == 5).any()
+    return samples
 
 
 # The environment itself raises where a forbidden action is taken: in the warm-up (first 20 steps),
@@ -89,16 +84,14 @@ def check_stored_masks(buffer: Any, n_expected: int) -> None:
 @pytest.mark.parametrize("n_envs", [1, 3])
 def test_no_forbidden_action_is_ever_taken(noisy: bool, n_envs: int) -> None:
     env = DummyVecEnv([ClockEnv] * n_envs)
-    model = small_model(env, noisy=noisy, exploration_final_eps=0.5)
-    model.learn(150)
+    model = small_model(env, noisy=noisy, exploration_final_eps=0.5).learn(150)
     check_stored_masks(model.replay_buffer, n_expected=n_drawable(150, n_envs))
 
 
 def n_drawable(n_steps: int, n_envs: int) -> int:
     """Of the open episode of each env, the last n - 1 = 2 windows are not complete yet."""
     per_env = n_steps // n_envs
-    waiting = min(per_env % 5, 2)
-    return (per_env - waiting) * n_envs
+    return (per_env - min(per_env % 5, 2)) * n_envs
 
 
 def subprocesses(wrapper: Any) -> SubprocVecEnv:
@@ -110,55 +103,46 @@ def masks_of(env: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("make_env", "n_envs"),
+    "make_env",
     [
-        (lambda: ActionMasker(Unknown(), masks_of), 1),
-        (lambda: ActionMasker(Unknown(), lambda env: masks_of(env)[None]), 1),
-        (lambda: ActionMasker(TerminalActionMask(Unknown()), masks_of), 1),
-        (lambda: subprocesses(TerminalActionMask), 2),
+        lambda: ActionMasker(Unknown(), masks_of),
+        lambda: ActionMasker(Unknown(), lambda env: masks_of(env)[None]),
+        lambda: ActionMasker(TerminalActionMask(Unknown()), masks_of),
+        lambda: subprocesses(TerminalActionMask),
     ],
     ids=["action masker", "a row", "outermost", "subprocesses"],
 )
-def test_masks_of_every_kind_of_env_are_stored(make_env: Callable[[], Any], n_envs: int) -> None:
-    env = make_env()
-    model = small_model(env).learn(90)
-    check_stored_masks(model.replay_buffer, n_drawable(90, n_envs))
-    env.close()
+def test_masks_of_every_kind_of_env_are_stored(make_env: Callable[[], Any]) -> None:
+    model = small_model(make_env()).learn(90)
+    check_stored_masks(model.replay_buffer, n_drawable(90, model.n_envs))
+    model.get_env().close()  # type: ignore[union-attr]
+
+
+WRAP_EACH = "wrap each env in sb3_rainbow.TerminalActionMask"
 
 
 def test_subprocess_envs_without_it_warn_once() -> None:
     env = subprocesses(lambda env: env)
     model = small_model(env)
-    with pytest.warns(UserWarning, match="wrap each env in sb3_rainbow.TerminalActionMask") as seen:
+    with pytest.warns(UserWarning, match=WRAP_EACH) as seen:
         model.learn(60)
     assert len(seen) == 1
     env.close()
 
 
-class OneLess(VecEnvWrapper):
-    """Forbids what is allowed first."""
-
-    def reset(self) -> Any:
-        return self.venv.reset()
-
-    def step_wait(self) -> Any:
-        return self.venv.step_wait()
+class OneLess(VecMonitor):
+    """Forbids what is allowed first, unless nothing else is."""
 
     def env_method(self, method_name: str, *args: Any, **kwargs: Any) -> list[Any]:
         masks = super().env_method(method_name, *args, **kwargs)
         for mask in masks if method_name == "action_masks" else []:
-            mask[int(mask.argmax())] = False
+            mask[int(mask.argmax())] = mask.sum() == 1
         return masks
 
 
 def test_masks_that_a_wrapper_of_the_batch_changes_are_not_taken_from_below() -> None:
-    class Free(Toy):
-        def action_masks(self) -> np.ndarray:
-            return np.ones(spaces.flatdim(self.action_space), bool)
-
-    space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-    model = small_model(OneLess(DummyVecEnv([lambda: Free(space, length=5)])))
-    with pytest.warns(UserWarning, match="wrap each env in sb3_rainbow.TerminalActionMask"):
+    model = small_model(OneLess(DummyVecEnv([ClockEnv])))
+    with pytest.warns(UserWarning, match=WRAP_EACH):
         model.learn(60)
 
 
@@ -170,27 +154,19 @@ def test_a_loaded_buffers_masks_count_without_a_rollout(
     model = small_model(ClockEnv(), use_masking=use_masking)
     model.load_replay_buffer(tmp_path / "buffer")
     model.set_logger(configure(None, []))
-    seen: list[Any] = []
-
-    def spy(*given: Any) -> Any:
-        seen.append(as_batch(*given))
-        return seen[-1]
-
+    spy = Mock(wraps=as_batch)
     monkeypatch.setattr(rainbow, "as_batch", spy)
     model.train(2)
-    assert [each.next_action_masks is None for each in seen] == [use_masking is False] * 2
-
-
-class NoMovesLeft(ClockEnv):
-    """Raises where someone asks for the mask of a state that an episode ended in."""
-
-    def action_masks(self) -> np.ndarray:
-        if self.steps == self.length:
-            raise RuntimeError("the game is over")
-        return super().action_masks()
+    batches = [as_batch(*call.args) for call in spy.mock_calls]
+    assert [each.next_action_masks is None for each in batches] == [use_masking is False] * 2
 
 
 def test_no_one_asks_for_the_mask_of_a_terminated_state() -> None:
+    class NoMovesLeft(ClockEnv):
+        def action_masks(self) -> np.ndarray:
+            assert self.steps < self.length, "the game is over"  # type: ignore[operator]
+            return super().action_masks()
+
     small_model(DummyVecEnv([lambda: NoMovesLeft(terminated=True)] * 2)).learn(60)
 
 
@@ -231,9 +207,7 @@ def test_predict_obeys_masks_of_one_observation_and_of_a_batch() -> None:
     for deterministic in (True, False):
         actions, _ = model.predict(obs, deterministic=deterministic, action_masks=masks)
         assert masks[np.arange(40), actions].all()
-    only = np.zeros(N_ACTIONS, dtype=bool)
-    only[4] = True
-    action, _ = model.predict(obs[0], action_masks=only)
+    action, _ = model.predict(obs[0], action_masks=np.arange(N_ACTIONS) == 4)
     assert action.shape == ()
     assert action == 4
 
@@ -279,10 +253,11 @@ def test_use_masking() -> None:
     model = small_model(ClockEnv())
     with pytest.raises(AssertionError, match="is forbidden"):
         model.learn(50, use_masking=False)
+    unclear: Any = "no"
     with pytest.raises(ValueError, match="use_masking must be"):
-        model.learn(50, use_masking="no")  # type: ignore[arg-type]
+        model.learn(50, use_masking=unclear)
     with pytest.raises(ValueError, match="use_masking must be"):
-        small_model(ClockEnv(), use_masking="yes")
+        small_model(ClockEnv(), use_masking=unclear)
 
 
 def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
@@ -309,13 +284,9 @@ def test_no_transition_skips_a_step(n_envs: int, stops: tuple[int, ...]) -> None
             reset_num_timesteps=False,
         )
         assert model.num_timesteps == end * n_envs
-    buffer: Any = model.replay_buffer
-    samples = buffer.samples_at(np.flatnonzero(buffer.tree.leaves))
-    assert len(samples.indices) == 60 * n_envs
+    samples = check_stored_masks(model.replay_buffer, 60 * n_envs)
     moved = samples.next_observations - samples.observations
     th.testing.assert_close(moved, th.tensor([[0.0, 1.0]]).expand_as(moved))
-    for obs, mask in zip(samples.next_observations, samples.next_action_masks, strict=True):
-        np.testing.assert_array_equal(mask, mask_at(*obs.tolist()))
     assert model._episode_num == 12 * n_envs
 
 

@@ -138,13 +138,16 @@ def make_policy(**kwargs: Any) -> MlpPolicy:
     # Networks that disagree, so that it shows who chose.
     for parameter in policy.q_net_target.parameters():
         parameter.data += 0.5 * th.randn_like(parameter)
-    policy.q_net.reset_noise()
-    policy.q_net_target.reset_noise()
+    for net in (policy.q_net, policy.q_net_target):
+        net.reset_noise()
     return policy
 
 
-def make_batch(masks: th.Tensor | None = None) -> Batch:
-    return small.random_batch(3, N_ACTIONS, 64, masks=masks)
+BATCH = small.random_batch(3, N_ACTIONS, 64)
+
+
+def target_of(policy: MlpPolicy, batch: Batch = BATCH, double_q: bool = True) -> Any:
+    return td_target(policy.q_net, policy.q_net_target, batch, double_q)
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -153,22 +156,19 @@ def test_who_chooses_the_next_action(double_q: bool, masked: bool) -> None:
     policy = make_policy()
     masks = th.rand(64, N_ACTIONS) < 0.4
     masks[th.arange(64), th.randint(0, N_ACTIONS, (64,))] = True
-    batch = make_batch(masks if masked else None)
-    best = {}
+    best = []
     for net in (policy.q_net, policy.q_net_target):
-        q_values = net(batch.next_observations, noisy=True).detach().numpy()
+        q_values = net(BATCH.next_observations, noisy=True).detach().numpy()
         allowed = masks.numpy() if masked else True
-        best[net] = np.where(allowed, q_values, -np.inf).argmax(axis=1).tolist()
-    target = td_target(policy.q_net, policy.q_net_target, batch, double_q)
-    chooser = policy.q_net if double_q else policy.q_net_target
-    assert target.next_actions[:, 0].tolist() == best[chooser]
-    assert best[policy.q_net] != best[policy.q_net_target]
+        best.append(np.where(allowed, q_values, -np.inf).argmax(axis=1).tolist())
+    batch = BATCH._replace(next_action_masks=masks if masked else None)
+    chosen = target_of(policy, batch, double_q).next_actions[:, 0].tolist()
+    assert chosen == best[0 if double_q else 1] != best[1 if double_q else 0]
 
 
 def test_the_target_network_values_the_choice_and_terminations_end_it() -> None:
-    policy = make_policy()
-    batch = make_batch()
-    target = td_target(policy.q_net, policy.q_net_target, batch, True)
+    policy, batch = make_policy(), BATCH
+    target = target_of(policy)
     distribution = policy.q_net_target.distribution(batch.next_observations, noisy=True)
     chosen = distribution[th.arange(64), target.next_actions[:, 0]]
     support = th.linspace(-10, 10, 51)
@@ -180,9 +180,8 @@ def test_the_target_network_values_the_choice_and_terminations_end_it() -> None:
 
 
 def test_the_scalar_target() -> None:
-    policy = make_policy(distributional=False)
-    batch = make_batch()
-    target = td_target(policy.q_net, policy.q_net_target, batch, True)
+    policy, batch = make_policy(distributional=False), BATCH
+    target = target_of(policy)
     q_values = policy.q_net_target(batch.next_observations, noisy=True)
     chosen = q_values.gather(1, target.next_actions)
     expected = batch.rewards + batch.discounts * (1 - batch.dones) * chosen
@@ -196,11 +195,10 @@ def test_the_scalar_target() -> None:
 
 def test_priorities_are_divergences() -> None:
     policy = make_policy()
-    batch = make_batch()
-    target = td_target(policy.q_net, policy.q_net_target, batch, True)
-    losses, priorities = td_losses(policy.q_net, batch, target.values)
-    predicted = policy.q_net.distribution(batch.observations, noisy=True)
-    taken = predicted[th.arange(64), batch.actions[:, 0]]
+    target = target_of(policy)
+    losses, priorities = td_losses(policy.q_net, BATCH, target.values)
+    predicted = policy.q_net.distribution(BATCH.observations, noisy=True)
+    taken = predicted[th.arange(64), BATCH.actions[:, 0]]
     th.testing.assert_close(losses, -(target.values * taken.log()).sum(1), rtol=1e-4, atol=1e-5)
     ahead = th.distributions.Categorical(probs=target.values)
     divergences = th.distributions.kl_divergence(ahead, th.distributions.Categorical(probs=taken))
@@ -210,11 +208,9 @@ def test_priorities_are_divergences() -> None:
 
 def test_no_gradient_reaches_the_target() -> None:
     policy = make_policy()
-    batch = make_batch()
     before = copy.deepcopy(policy.q_net_target.state_dict())
-    target = td_target(policy.q_net, policy.q_net_target, batch, True)
-    assert not target.values.requires_grad
-    td_losses(policy.q_net, batch, target.values)[0].mean().backward()
+    values = target_of(policy).values
+    assert not values.requires_grad
+    td_losses(policy.q_net, BATCH, values)[0].mean().backward()
     assert all(parameter.grad is None for parameter in policy.q_net_target.parameters())
-    for name, value in policy.q_net_target.state_dict().items():
-        assert th.equal(value, before[name])
+    small.identical(policy.q_net_target.state_dict(), before)

@@ -1,6 +1,7 @@
 """Noisy layers and the dueling, distributional head."""
 
 import copy
+import re
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,10 @@ def make_policy(**kwargs: Any) -> MlpPolicy:
 
 def make_net(**kwargs: Any) -> RainbowNetwork:
     return make_policy(**kwargs).q_net
+
+
+def noisy_layers_of(net: RainbowNetwork) -> list[Any]:
+    return [module for module in net.modules() if isinstance(module, NoisyLinear)]
 
 
 def noise_of(layer: NoisyLinear) -> tuple[th.Tensor, th.Tensor]:
@@ -104,19 +109,15 @@ def test_noise_has_nothing_to_do_with_train_and_eval(training: bool) -> None:
     th.testing.assert_close(layer(x, noisy=False), layer(x, noisy=False))
 
 
-def noise_in(net: RainbowNetwork) -> th.Tensor:
-    layers = [layer for layer in net.layers if isinstance(layer, NoisyLinear)]
-    return th.cat([epsilon for layer in layers for epsilon in layer.buffers()])
-
-
 def test_online_and_target_noise_are_independent() -> None:
     policy = make_policy()
-    policy.q_net.reset_noise()
-    policy.q_net_target.reset_noise()
-    online, target = (noise_in(net) for net in (policy.q_net, policy.q_net_target))
-    assert not th.equal(online, target)
-    policy.q_net.reset_noise()
-    assert th.equal(noise_in(policy.q_net_target), target)
+    online, target = policy.q_net, policy.q_net_target
+    online.reset_noise()
+    target.reset_noise()
+    before = th.cat(list(target.buffers()))
+    assert not th.equal(th.cat(list(online.buffers())), before)
+    online.reset_noise()
+    assert th.equal(th.cat(list(target.buffers())), before)
 
 
 def test_each_environment_explores_by_noise_of_its_own() -> None:
@@ -125,12 +126,11 @@ def test_each_environment_explores_by_noise_of_its_own() -> None:
     net.reset_noise(n_envs=5)
     together = net(obs, noisy=True)
     assert len({row.detach().numpy().tobytes() for row in together}) == 5
-    rows = [layer.epsilon_rows for layer in net._own_layers() if isinstance(layer, NoisyLinear)]
+    rows = [layer.epsilon_rows for layer in noisy_layers_of(net)]
     for i in range(5):  # as a network that has this row's noise alone
         alone = copy.deepcopy(net)
         alone.reset_noise()
-        layers = [layer for layer in alone._own_layers() if isinstance(layer, NoisyLinear)]
-        for layer, (epsilon_in, epsilon_out) in zip(layers, rows, strict=True):  # type: ignore[misc]
+        for layer, (epsilon_in, epsilon_out) in zip(noisy_layers_of(alone), rows, strict=True):
             layer.epsilon_in.copy_(epsilon_in[i])
             layer.epsilon_out.copy_(epsilon_out[i])
         th.testing.assert_close(alone(obs[:1], noisy=True)[0], together[i])
@@ -149,7 +149,7 @@ def test_each_environment_explores_by_noise_of_its_own() -> None:
 def test_which_layers_are_noisy(noisy_layers: Any, expected: list[bool]) -> None:
     net = make_net(noisy_layers=noisy_layers)
     assert [isinstance(layer, NoisyLinear) for layer in net.layers] == expected
-    assert not any(isinstance(layer, NoisyLinear) for layer in make_net(noisy=False).layers)
+    assert not noisy_layers_of(make_net(noisy=False, noisy_layers=noisy_layers))
 
 
 def test_dueling_is_identifiable() -> None:
@@ -191,12 +191,10 @@ def test_streams_have_layers_of_their_own() -> None:
         "advantage_layers": [*hidden, (8, 15, NoisyLinear)],
     }
     by_hand = th.relu(net.layers[0](OBSERVATIONS))
-    outputs = []
-    for layers in (net.value_layers, net.advantage_layers):
-        x = th.relu(layers[0](by_hand))
-        x = th.relu(layers[1](x, noisy=False))
-        outputs.append(layers[2](x, noisy=False).view(6, -1, 5))
-    value, advantages = outputs
+    value, advantages = (
+        last(th.relu(noisy(th.relu(plain(by_hand)), noisy=False)), noisy=False).view(6, -1, 5)
+        for plain, noisy, last in (net.value_layers, net.advantage_layers)
+    )
     logits = value + advantages - advantages.mean(dim=1, keepdim=True)
     th.testing.assert_close(net.logits(OBSERVATIONS), logits)
     net.reset_noise()
@@ -207,7 +205,7 @@ def test_streams_have_layers_of_their_own() -> None:
 
 def test_streams_without_dueling_are_one() -> None:
     net = make_net(net_arch=STREAMS, dueling=False, noisy=False)
-    assert not any(isinstance(m, NoisyLinear) for m in net.modules())
+    assert not noisy_layers_of(net)
     assert net.streams(OBSERVATIONS, noisy=True).shape == (6, 3, 51)
     assert not any(name.startswith("value") for name, _ in net.named_parameters())
 
@@ -216,6 +214,10 @@ def test_streams_without_dueling_are_one() -> None:
 def test_a_dict_without_streams_is_a_list(net_arch: dict[str, list[int]]) -> None:
     given, plain = make_net(net_arch=net_arch), make_net(net_arch=[])
     assert given.state_dict().keys() == plain.state_dict().keys()
+
+
+SIZES = "net_arch must be a list of positive sizes or .*got "
+NO_SIZES = (8, [8, 0], [8.5], [{"vf": [4]}], np.array([8, 8]), {"streams": 4})
 
 
 @pytest.mark.parametrize(
@@ -228,12 +230,7 @@ def test_a_dict_without_streams_is_a_list(net_arch: dict[str, list[int]]) -> Non
         ({"n_atoms": 1}, "n_atoms must be a whole number, at least 2, got 1"),
         ({"noisy_layers": "first"}, "noisy_layers must be one of .* got 'first'"),
         ({"net_arch": {"pi": [4], "shared": [4]}}, r"shared=\[.*streams=\[.*got {'pi'"),
-        ({"net_arch": 8}, "net_arch must be a list of positive sizes or .*got 8"),
-        ({"net_arch": [{"vf": [4]}]}, "net_arch must be a list of positive sizes or "),
-        ({"net_arch": np.array([8, 8])}, "net_arch must be a list of positive sizes or "),
-        ({"net_arch": [8.5]}, "net_arch must be a list of positive sizes or "),
-        ({"net_arch": {"streams": 4}}, "net_arch must be a list of positive sizes or "),
-        ({"net_arch": [8, 0]}, r"net_arch must be a list of positive sizes or .*got \[8, 0\]"),
+        *(({"net_arch": wrong}, f"{SIZES}{re.escape(repr(wrong))}") for wrong in NO_SIZES),
         ({"distributional": "quantiles"}, "'categorical' or 'quantile', got 'quantiles'"),
         ({"distributional": None}, r"needs distributional.* loaded by Rainbow\.load"),
         ({"distributional": "quantile", "n_atoms": 0}, "n_atoms must be.*at least 1, got 0"),
@@ -275,12 +272,9 @@ SMALL_IMAGES = spaces.Box(0, 255, (1, 40, 40), np.uint8)
 def test_weights_of_images_go_into_a_vector_and_back(kwargs: dict[str, Any]) -> None:
     one, other = (small.make_policy(SMALL_IMAGES, 3, CnnPolicy, **kwargs) for _ in range(2))
     vector = one.parameters_to_vector()
-    pointer = 0
-    for parameter in one.parameters():  # in the order of its values, not of its memory
-        values = vector[pointer : pointer + parameter.numel()]
-        np.testing.assert_array_equal(values, parameter.detach().numpy().flatten())
-        pointer += parameter.numel()
-    assert pointer == vector.size
+    # in the order of their values, not of their memory
+    values = [parameter.detach().numpy().flatten() for parameter in one.parameters()]
+    np.testing.assert_array_equal(vector, np.concatenate(values))
     other.load_from_vector(vector)
     np.testing.assert_array_equal(
         other.q_net.parameters_to_vector(), one.q_net.parameters_to_vector()
@@ -306,7 +300,6 @@ def test_images_have_the_published_network_by_default() -> None:
         (3136, 512), (512, 51), (3136, 512), (512, 153),
     ]  # fmt: skip
     assert all(isinstance(m, NoisyLinear) for m in linear)
-    convolutions = [m for m in net.modules() if isinstance(m, nn.Conv2d)]
-    assert [m.out_channels for m in convolutions] == [32, 64, 64]
-    last = th.channels_last
-    assert all(m.weight.is_contiguous(memory_format=last) for m in convolutions)
+    filters = [m.weight for m in net.modules() if isinstance(m, nn.Conv2d)]
+    assert [len(each) for each in filters] == [32, 64, 64]
+    assert all(each.is_contiguous(memory_format=th.channels_last) for each in filters)

@@ -75,10 +75,12 @@ def test_truncated_episodes_of_integers_end_where_they_ended(
     np.testing.assert_array_equal(following["count"] if named else following, wanted)
 
 
+BITS = BitFlippingEnv(n_bits=4, continuous=False)
+
+
 def test_what_hindsight_cannot_do_is_off_with_one_warning(tmp_path: Any) -> None:
-    env = BitFlippingEnv(n_bits=4, continuous=False)
     with pytest.warns(UserWarning, match="HerRep.*: prioritized=False, n_steps=1") as report:
-        model = Rainbow("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, **FAST)
+        model = Rainbow("MultiInputPolicy", BITS, replay_buffer_class=HerReplayBuffer, **FAST)
     assert len(report) == 1
     assert report[0].filename == __file__
     assert (model.prioritized, model.n_steps) == (False, 1)
@@ -88,17 +90,20 @@ def test_what_hindsight_cannot_do_is_off_with_one_warning(tmp_path: Any) -> None
     assert Rainbow.load(tmp_path / "m", env=model.get_env()).learn(40).num_timesteps == 40
 
 
-def test_hindsight_that_is_asked_for_more_is_an_error() -> None:
-    both = "no priorities and no n-step returns: pass prioritized=False, n_steps=1 instead of 3"
-    env = BitFlippingEnv(n_bits=4, continuous=False)
-    for prioritized, n_steps, message in (
+@pytest.mark.parametrize(
+    ("prioritized", "n_steps", "message"),
+    [
         (True, 1, "HerReplayBuffer keeps no priorities: pass prioritized=F"),
         (False, 3, "no n-step returns: pass n_steps=1 instead of 3"),
-        (True, 3, both),
-    ):
-        asked = {"prioritized": prioritized, "n_steps": n_steps}
-        with pytest.raises(ValueError, match=message):
-            make("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, **asked)
+        (True, 3, "no priorities and no n-step returns: pass prioritized=False, n_steps=1 instead"),
+    ],
+)
+def test_hindsight_that_is_asked_for_more_is_an_error(
+    prioritized: bool, n_steps: int, message: str
+) -> None:
+    asked: Any = {"replay_buffer_class": HerReplayBuffer, "prioritized": prioritized}
+    with pytest.raises(ValueError, match=message):
+        make("MultiInputPolicy", BITS, n_steps=n_steps, **asked)
 
 
 def test_sb3s_n_step_buffer_lacks_only_the_priorities() -> None:
@@ -110,10 +115,9 @@ def test_sb3s_n_step_buffer_lacks_only_the_priorities() -> None:
 def test_what_outlives_its_row_needs_no_more_room_than_rows() -> None:
     space = spaces.Box(0, 99, (64,), np.float32)
     buffer = PrioritizedReplayBuffer(1100, space, spaces.Discrete(2), device="cpu", n_steps=1)
-    one = np.ones((1, 64), np.float32)
+    one, zero = np.ones((1, 64), np.float32), np.zeros(1)
     for step in range(2500):  # episodes of one step: each row leads to an observation of its own
-        done = np.array([True])
-        buffer.add(step * one, -step * one, np.zeros((1, 1)), np.zeros(1), done, [{}])
+        buffer.add(step * one, -step * one, zero, zero, np.ones(1, bool), [{}])
     (boundary,) = buffer._store._boundary.values()
     assert len(boundary) <= 1101
 

@@ -15,15 +15,14 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import configure
 
-from sb3_rainbow import Rainbow
-from tests.sb3_rainbow.small import Toy
+from tests.sb3_rainbow.small import Toy, make
 
 TOLERANCE = 1e-3  # mean squared error of Q below which it counts as learned, the paper's
 CHECK_EVERY = 20
 RAINBOW: dict[str, Any] = {
     **dict.fromkeys(("double_q", "dueling", "noisy", "distributional"), False),
     **{"n_steps": 1, "tau": 1.0, "batch_size": 32, "learning_rate": 1e-2},
-    **{"beta_start": 0.4, "beta_end": 0.4},
+    **{"beta_start": 0.4, "beta_end": 0.4, "policy_kwargs": {"net_arch": []}},
 }
 
 
@@ -47,17 +46,9 @@ def optimal_values(states: int) -> np.ndarray:
 
 def updates_needed(states: int, limit: int, seed: int, prioritized: bool) -> int:
     """Updates at the first check within the tolerance, or ``limit``."""
-    model = Rainbow(
-        "MlpPolicy",
-        Toy(spaces.Discrete(states)),  # nobody takes a step in it
-        buffer_size=2 ** (states + 1) + 1,
-        gamma=1.0 - 1.0 / states,
-        seed=1_000 + seed,
-        device="cpu",
-        policy_kwargs={"net_arch": []},
-        prioritized=prioritized,
-        **RAINBOW,
-    )
+    env = Toy(spaces.Discrete(states))  # nobody takes a step in it
+    own: Any = {"buffer_size": 2 ** (states + 1) + 1, "gamma": 1.0 - 1.0 / states}
+    model = make(env=env, seed=1_000 + seed, prioritized=prioritized, **own, **RAINBOW)
     model.set_logger(configure(None, []))
     assert model.replay_buffer is not None
     fill(model.replay_buffer, states, seed)

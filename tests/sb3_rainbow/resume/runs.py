@@ -1,11 +1,11 @@
 """Short runs whose every bit can be compared."""
 
 import pickle
+from operator import attrgetter
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -37,16 +37,11 @@ def assert_same(a: BaseAlgorithm, b: BaseAlgorithm) -> None:
     """Networks, optimizer, counters and replay are identical to the last bit."""
     assert isinstance(a, Rainbow)
     assert isinstance(b, Rainbow)
-    assert a.num_timesteps == b.num_timesteps
-    assert a._n_updates == b._n_updates
-    for name, value in a.policy.state_dict().items():
-        assert th.equal(value, b.policy.state_dict()[name]), name
-    states = (a.policy.optimizer.state_dict()["state"], b.policy.optimizer.state_dict()["state"])
-    for x, y in zip(*(state.values() for state in states), strict=True):
-        assert all(th.equal(x[key], y[key]) for key in x)
+    assert (a.num_timesteps, a._n_updates) == (b.num_timesteps, b._n_updates)
+    small.identical(a.policy.state_dict(), b.policy.state_dict())
+    small.identical(*(each.policy.optimizer.state_dict()["state"] for each in (a, b)))
     x, y = a.replay_buffer, b.replay_buffer
     assert isinstance(x, PrioritizedReplayBuffer)
     assert isinstance(y, PrioritizedReplayBuffer)
-    np.testing.assert_array_equal(x.observations, y.observations)
-    np.testing.assert_array_equal(x.tree.leaves, y.tree.leaves)
-    np.testing.assert_array_equal(x.rewards, y.rewards)
+    for stored in ("observations", "rewards", "tree.leaves"):
+        np.testing.assert_array_equal(*(attrgetter(stored)(buffer) for buffer in (x, y)))

@@ -37,11 +37,10 @@ def test_two_runs_with_one_seed_are_identical(n_envs: int, noisy: bool) -> None:
 def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool, again: bool) -> None:
     """Also where the loaded model is saved again before it goes on."""
     # Annealing depends on a run's length: constant schedules make both runs comparable.
-    settings: dict[str, Any] = {"noisy": noisy, "beta_end": 0.4, "exploration_final_eps": 1.0}
-    settings["learning_rate"] = 1e-3
-    whole = make(**settings).learn(500)
+    constant: Any = {"learning_rate": 1e-3, "beta_end": 0.4, "exploration_final_eps": 1.0}
+    whole = make(noisy=noisy, **constant).learn(500)
 
-    first = make(**settings).learn(350)
+    first = make(noisy=noisy, **constant).learn(350)
     first.save(tmp_path / "model")
     first.save_replay_buffer(tmp_path / "buffer")
     env = first.get_env()
@@ -56,7 +55,7 @@ def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool, again: bool) -
     assert_same(whole, second)
 
 
-@pytest.mark.parametrize("way", ["load", "load_checkpoint", "set_random_seed"])
+@pytest.mark.parametrize("way", ["load", "custom_objects", "load_checkpoint", "set_random_seed"])
 def test_a_new_seed_wins_over_the_saved_generators(tmp_path: Any, way: str) -> None:
     make().learn(60).save(tmp_path / "m")
     make(make_stateful(1)).learn(60).save_checkpoint(tmp_path / "c")
@@ -64,9 +63,9 @@ def test_a_new_seed_wins_over_the_saved_generators(tmp_path: Any, way: str) -> N
     def draw(seed: int | None) -> tuple[float, float, int]:
         """What the generators give once learning goes on."""
         set_random_seed(99)
-        given: dict[str, Any] = {}
-        if seed is not None and way != "set_random_seed":
-            given["seed"] = seed
+        given: Any = {} if seed is None or way == "set_random_seed" else {"seed": seed}
+        if way == "custom_objects":
+            given = {"custom_objects": given}
         if way == "load_checkpoint":
             model = Rainbow.load_checkpoint(tmp_path / "c", make_stateful(1), **given)
         else:
@@ -87,19 +86,6 @@ class OwnNormalize(VecNormalize):
     """A subclass, as users write them."""
 
 
-class Counting(VecEnvWrapper):
-    """Keeps a state of which nobody knows."""
-
-    steps = 0
-
-    def reset(self) -> Any:
-        return self.venv.reset()
-
-    def step_wait(self) -> Any:
-        self.steps += 1
-        return self.venv.step_wait()
-
-
 @pytest.mark.parametrize(
     "wrap", [lambda env: OwnNormalize(VecMonitor(env)), lambda env: VecFrameStack(env, 3)]
 )
@@ -111,8 +97,7 @@ def test_a_checkpoint_in_the_middle_of_a_run_with_several_envs(tmp_path: Any, wr
 
         def _on_rollout_start(self) -> None:
             if self.num_timesteps == 360:
-                assert isinstance(self.model, Rainbow)
-                self.model.save_checkpoint(tmp_path / "run.ckpt")
+                model.save_checkpoint(tmp_path / "run.ckpt")
 
         def _on_step(self) -> bool:
             return True
@@ -122,18 +107,17 @@ def test_a_checkpoint_in_the_middle_of_a_run_with_several_envs(tmp_path: Any, wr
     env = wrap(make_stateful())
     env.seed(99)
     env.reset()
-    model = Rainbow.load_checkpoint(tmp_path / "run.ckpt", env)
-    assert model.num_timesteps == 360
+    loaded = Rainbow.load_checkpoint(tmp_path / "run.ckpt", env)
+    assert loaded.num_timesteps == 360
     assert [path.name for path in tmp_path.iterdir()] == ["run.ckpt"]
-    model.learn(600 - model.num_timesteps, reset_num_timesteps=False)
-    assert_same(whole, model)
+    assert_same(whole, loaded.learn(240, reset_num_timesteps=False))
 
 
 def test_a_checkpoint_holds_statistics_even_where_the_env_is_reset(tmp_path: Any) -> None:
     env = VecNormalize(make_vec_env("CartPole-v1"))
     model = make(env)
     model.save_checkpoint(tmp_path / "before_the_first_step")
-    model.learn(100).save_checkpoint(tmp_path / "c")
+    model.learn(60).save_checkpoint(tmp_path / "c")
     fresh = VecNormalize(make_vec_env("CartPole-v1"))
     Rainbow.load_checkpoint(tmp_path / "c", fresh)
     obs = np.ones((1, 4))
@@ -142,12 +126,21 @@ def test_a_checkpoint_holds_statistics_even_where_the_env_is_reset(tmp_path: Any
     assert not np.array_equal(normalized, obs)
     with pytest.raises(ValueError, match="wrap the env as at saving time"):
         Rainbow.load_checkpoint(tmp_path / "c", make_vec_env("CartPole-v1"))
-    other = VecCheckNan(make_vec_env("CartPole-v1"))
     with pytest.raises(ValueError, match=r"obs_rms.* but VecCheckNan stands in its place"):
-        Rainbow.load_checkpoint(tmp_path / "c", other)
+        Rainbow.load_checkpoint(tmp_path / "c", VecCheckNan(make_vec_env("CartPole-v1")))
 
 
 def test_a_checkpoint_names_the_wrapper_whose_state_it_does_not_hold(tmp_path: Any) -> None:
+    class Counting(VecEnvWrapper):
+        steps = 0
+
+        def reset(self) -> Any:
+            return self.venv.reset()
+
+        def step_wait(self) -> Any:
+            self.steps += 1
+            return self.venv.step_wait()
+
     model = make(VecMonitor(Counting(make_stateful())))
     with pytest.warns(UserWarning, match="Counting"):
         model.save_checkpoint(tmp_path / "c")

@@ -37,21 +37,6 @@ def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
     assert np.random.randint(1 << 30) == expected  # noqa: NPY002
 
 
-@pytest.mark.parametrize("given", [{"seed": 7}, {"custom_objects": {"seed": 7}}])
-def test_a_seed_given_to_load_wins_over_the_saved_generators(given: dict[str, Any]) -> None:
-    file = io.BytesIO()
-    make().learn(40).save(file)
-
-    def goes_on(**given: Any) -> list[Any]:
-        file.seek(0)
-        model = Rainbow.load(file, make_vec_env("CartPole-v1", seed=0), **given)
-        model.learn(60, reset_num_timesteps=False)
-        assert model.replay_buffer is not None
-        return list(model.replay_buffer.actions[:60].ravel())
-
-    assert goes_on() == goes_on() != goes_on(**given)
-
-
 @pytest.mark.parametrize(
     ("other", "message"),
     [
@@ -108,14 +93,10 @@ def test_a_support_asks_for_the_categorical_head(
     assert (loaded.distributional, loaded.v_min, loaded.v_max) == head
 
 
-def test_a_support_of_numpys_numbers_is_the_one_in_the_file(tmp_path: Any) -> None:
-    model = make(v_min=np.float32(0.0), v_max=np.int64(100))
-    model.save(tmp_path / "m")
-    model.set_parameters(str(tmp_path / "m"))
-
-
 def test_parameters_of_other_settings(tmp_path: Any) -> None:
-    model = make(v_min=0.0, v_max=100.0)
+    model = make(v_min=np.float32(0.0), v_max=np.int64(100))
+    model.save(tmp_path / "own")
+    model.set_parameters(str(tmp_path / "own"))  # a support of numpy's numbers is the file's
     make(v_min=0.0, v_max=50.0).save(tmp_path / "m")
     with pytest.raises(ValueError, match=r"support is \[0.0, 50.0\]"):
         model.set_parameters(str(tmp_path / "m"))
@@ -154,8 +135,6 @@ def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int, n_
         np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
         assert loaded.replay_buffer.buffer_size == n_steps + 1  # a window and what it leads to
     loaded.learn(60)
-    with pytest.raises(ValueError, match="buffer_size=1 is too small"):
-        make(buffer_size=1)
 
 
 @pytest.mark.parametrize(
