@@ -100,7 +100,7 @@ def class_on(task: Task, method: str) -> type[BaseAlgorithm]:
 def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu") -> BaseAlgorithm:
     """The learner of a cell, untrained."""
     track, algorithm = preset.tracks[cell.track], class_of(cell.method)
-    own = track.methods.get(cell.method, {})
+    own = copy.deepcopy(track.methods.get(cell.method, {}))  # SB3 writes into policy_kwargs
     arguments = _of_track(track, algorithm) | _checked(algorithm, own, env, cell.method)
     policy: str | type[RainbowPolicy] = "MlpPolicy"
     if issubclass(algorithm, Rainbow):

@@ -191,8 +191,8 @@ def test_a_script_that_noise_helps_is_named_beside_ours(results_of: ResultsOf) -
 
 PPO = "maskable_ppo-optimized-repaired"
 CHANCE = "Rainbow is 1.7 points [-17.3, 20.6] above MaskablePPO, which may be chance."
-EQUAL = "MaskablePPO succeeds as often as Rainbow (holes per episode"
-BETTER = "MaskablePPO succeeds more often than Rainbow (holes per episode"
+AS_OFTEN = "MaskablePPO succeeds as often as Rainbow (holes per episode"
+MORE_OFTEN = "MaskablePPO succeeds more often than Rainbow (holes per episode"
 TERMINAL = {name.replace("repaired", "terminal"): LEARNED[name] for name in (RAINBOW, MASKED)}
 ENDS = "ends the episode, Rainbow inserts in 95.0 ± 1.0 % and masked DQN in 70.0 ± 2.0 %."
 
@@ -200,9 +200,9 @@ ENDS = "ends the episode, Rainbow inserts in 95.0 ± 1.0 % and masked DQN in 70.
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({PPO: [95, 97, 94]}, f" {EQUAL} 1.91, Rainbow 1.90)."),
+        ({PPO: [95, 97, 94]}, f" {AS_OFTEN} 1.91, Rainbow 1.90)."),
         ({PPO: [85, 96, 99]}, f" {CHANCE}"),  # no significant difference is no equality
-        ({PPO: [99, 100, 99]}, f" {BETTER} 1.99, Rainbow 1.90)."),
+        ({PPO: [99, 100, 99]}, f" {MORE_OFTEN} 1.99, Rainbow 1.90)."),
         ({PPO: [99, 100]}, "the best script in 50.3 ± 1.5 %."),
         (TERMINAL, ENDS),  # the track on which a collision does
     ],

@@ -1,5 +1,6 @@
 """The final policy's file: small, SB3's own form, and exactly what was tested."""
 
+import copy
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -65,6 +66,13 @@ def test_half_precision_moves_no_weight_further_than_its_last_bit(method: str) -
             torch.testing.assert_close(value, before[name], rtol=2**-11, atol=2**-24)
             compared += 1
     assert compared >= 2
+
+
+def test_a_learner_that_is_built_writes_nothing_into_its_preset() -> None:
+    preset = smoke_preset(tracks=copy.deepcopy(TRACKS))
+    cell = Cell("qrdqn", "full", "optimized", "safe", 0)
+    build_model(preset, cell, make_training_env(preset, cell))
+    assert preset == smoke_preset(tracks=TRACKS)
 
 
 def test_a_policy_of_ones_own_may_act_by_a_part_of_any_name() -> None:
