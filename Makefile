@@ -9,7 +9,7 @@ PRESET ?= quick
 SLOW ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# Python compiles what is imported, when it is: a tenth of all that pip would compile.
+# Python compiles what is imported, when it is: a fifth of all that pip would compile.
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile $(PIP_FLAGS) -c constraints.txt
 # One thread per process: the harness and pytest-xdist use the cores by processes.
 export OMP_NUM_THREADS ?= 1
