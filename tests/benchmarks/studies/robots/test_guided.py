@@ -24,7 +24,9 @@ from tests.benchmarks.smoke import stop_after
 pytest.importorskip("mujoco", reason="needs the extra physics")
 
 METHODS = ("sac", "crossq", "td3", "ppo", "rainbow", "dqn", "bc")
-RESUMED = ("crossq", "td3", "ppo", "rainbow", "bc")  # sac is as crossq, dqn as rainbow
+# sac is as crossq, dqn as rainbow
+RESUMED = ["ppo", "rainbow"]
+RESUMED_SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("crossq", "td3", "bc")]
 
 
 def tiny(steps: int = 120, noise: float = 0.0) -> SuitePreset:
@@ -91,7 +93,7 @@ def test_a_clone_comes_to_do_what_the_script_does() -> None:
     assert float(left) < 0.3 * float(batch.actions.var())
 
 
-@pytest.mark.parametrize("method", RESUMED)
+@pytest.mark.parametrize("method", [*RESUMED, *RESUMED_SLOW])
 def test_a_stopped_run_is_the_run_that_was_not(
     method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
