@@ -21,9 +21,9 @@ STARTS = 12
 UNSURE: dict[str, Any] = {"base_position_error": 0.003, "base_tilt_error": math.radians(1.0)}
 
 
-def play(planner: Any, sim_to_real: dict[str, Any] | None, starts: int = STARTS) -> list[Episode]:
+def play(planner: Any, sim_to_real: dict[str, Any] | None) -> list[Episode]:
     knobs = SimToReal(**sim_to_real) if sim_to_real else None
-    episodes = begin_episodes({"reward": "progress", "sim_to_real": knobs}, 0, starts, "validate")
+    episodes = begin_episodes({"reward": "progress", "sim_to_real": knobs}, 0, STARTS, "validate")
     for episode in episodes:
         planner(episode)
     return episodes
@@ -38,10 +38,11 @@ def optimum(real: bool) -> Any:
     return lambda episode: follow(episode, oracle.plan)
 
 
+@pytest.mark.slow
 def test_on_the_machine_that_is_modelled_the_plan_is_the_optimums() -> None:
-    best = play(optimum(False), None, 6)
+    best = play(optimum(False), None)
     for searches in (False, True):
-        ours = play(Replanner(searches, 2_000_000).play, None, 6)
+        ours = play(Replanner(searches, 2_000_000).play, None)
         assert [e.insertions[:1] for e in ours] == [e.insertions[:1] for e in best]
         assert all(e.collisions == 0 for e in ours)
 
