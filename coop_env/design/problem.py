@@ -24,6 +24,7 @@ from coop_env.compilation import njit
 from coop_env.errors import check_integer, check_number, is_list
 from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs_kernels as rrs
+from coop_env.kinematics.singularity import is_manipulable, manipulability
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -242,7 +243,7 @@ def _survey_cells(
 ) -> tuple[Any, Any, Any]:
     """Signed sigma_min and kappa of each cell, NaN out of reach, and the admitted cells.
 
-    Unless ``whole``, which takes longer, they are NaN beyond the limits too.
+    Unless ``whole``, which takes longer, only the admitted cells are computed.
     """
     sigma, kappa = np.full(roll.shape, np.nan), np.full(roll.shape, np.nan)
     admitted = np.zeros(roll.shape, np.bool_)
@@ -253,6 +254,8 @@ def _survey_cells(
             tilted = abs(roll[i, j]) <= p.max_tilt and abs(pitch[i, j]) <= p.max_tilt
             within = tilted and rrs.joints_within_limits(q, p)
             if reachable and (whole or within):
-                _, _, sigma[i, j], kappa[i, j] = rrs.singular_state(pose, q, p)
-                admitted[i, j] = within and sigma[i, j] >= threshold
+                a, b = rrs.jacobian_parts(pose, q, p)
+                admitted[i, j] = within and is_manipulable(a, b, p.home_sign, threshold)
+                if whole:
+                    _, _, sigma[i, j], kappa[i, j] = manipulability(a, b, p.home_sign)
     return sigma, kappa, admitted

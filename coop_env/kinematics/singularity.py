@@ -97,6 +97,25 @@ def manipulability(a: Matrix3, b: Row, sign: float) -> tuple[Matrix3, Row, float
 
 
 @njit(cache=True)
+def is_manipulable(a: Matrix3, b: Row, sign: float, threshold: float) -> bool:
+    """Whether the signed sigma_min of :func:`manipulability` is at least a positive threshold.
+
+    It is where ``J^T J - threshold^2`` is positive definite, which its leading minors tell in a
+    fraction of the time.
+    """
+    (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = a
+    if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0 or determinant_3x3(a) * sign <= 0.0:
+        return False
+    x = (a00 / b[0], a10 / b[1], a20 / b[2])
+    y = (a01 / b[0], a11 / b[1], a21 / b[2])
+    z = (a02 / b[0], a12 / b[1], a22 / b[2])
+    least, xy, xz, yz = threshold * threshold, dot(x, y), dot(x, z), dot(y, z)
+    xx, yy, zz = dot(x, x) - least, dot(y, y) - least, dot(z, z) - least
+    gram = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+    return xx > 0.0 and xx * yy - xy * xy > 0.0 and determinant_3x3(gram) >= 0.0
+
+
+@njit(cache=True)
 def solve_3x3(m: Matrix3, b: Row) -> Row:
     """The x of ``m x = b`` by Cramer's rule; NaN where m is singular."""
     det = determinant_3x3(m)

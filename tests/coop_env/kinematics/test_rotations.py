@@ -12,7 +12,12 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from coop_env.kinematics import delta, rotations, rrs
-from coop_env.kinematics.singularity import determinant_3x3, singular_values_3x3
+from coop_env.kinematics.singularity import (
+    determinant_3x3,
+    is_manipulable,
+    manipulability,
+    singular_values_3x3,
+)
 
 ANGLES = np.random.default_rng(0).uniform(-1.2, 1.2, size=(4, 50, 3))
 
@@ -84,3 +89,16 @@ def test_repeated_and_tiny_values_keep_their_digits(values: tuple[float, float, 
         v, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         m = u @ np.diag(values) @ v.T
         assert singular_values_3x3(_rows(m)) == pytest.approx(values, abs=2e-15 * values[0] * 4)
+
+
+def test_a_threshold_holds_where_the_signed_sigma_min_is_no_less() -> None:
+    rng = np.random.default_rng(4)
+    results = set()
+    for _ in range(500):
+        a, b, sign = _rows(rng.normal(size=(3, 3))), tuple(rng.normal(size=3)), rng.choice([-1, 1])
+        sigma = manipulability(a, b, sign)[2]
+        for threshold in (0.15, 0.9999 * abs(sigma), 1.0001 * abs(sigma)):
+            results.add(sigma >= threshold)
+            assert is_manipulable(a, b, sign, threshold) == (sigma >= threshold)
+    assert results == {True, False}
+    assert not is_manipulable(_rows(np.eye(3)), (1.0, 0.0, 1.0), 1.0, 0.15)  # type I: J is infinite
