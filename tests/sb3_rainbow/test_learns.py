@@ -55,6 +55,7 @@ def test_values_are_those_of_the_bellman_equation(switches: dict[str, Any]) -> N
     np.testing.assert_allclose(model.q_net(obs).detach(), expected, atol=0.06)
 
 
+@pytest.mark.slow
 def test_the_bare_line_passes_sb3s_own_threshold_on_its_bandit() -> None:
     env = DummyVecEnv([lambda: IdentityEnv(4)])
     model = Rainbow("MlpPolicy", env, gamma=0.4, seed=3, learning_starts=0).learn(2500)
@@ -77,6 +78,7 @@ def test_the_defaults_learn_sb3s_bit_flipping_with_hindsight() -> None:
     assert np.mean(model.ep_success_buffer or [0]) > 0.9
 
 
+@pytest.mark.slow
 def test_sb3s_own_test_of_hindsight_passes_with_the_default_batch() -> None:
     """`test_performance_her` without its `batch_size=32`, with which no seed of 0 to 4 passes.
 

@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import pytest
 from threadpoolctl import threadpool_limits
 
 from sb3_rainbow.fast.mlp_update import blas_libraries, single_blas_thread
@@ -22,6 +23,7 @@ print(sb3_rainbow.__file__, model._n_updates)
 """
 
 
+@pytest.mark.slow
 def test_without_the_folder(tmp_path: Path) -> None:
     package = tmp_path / "sb3_rainbow"
     without = shutil.ignore_patterns("fast", "__pycache__")
