@@ -16,6 +16,7 @@ from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import Store
 
 GUESSED_RATE: Final = 1.5e-3  # seconds per unit of work, where nothing was measured yet
+STARTING: Final = 8.0  # seconds of each process before its work: Python, torch, compiled kernels
 Kind = tuple[str, ...]
 Measured = list[tuple[Kind, float, int]]  # kind of a run, its seconds, its units of work
 
@@ -71,7 +72,7 @@ def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) ->
         known = rate(kind, own) or rate(kind, elsewhere())
         share = folder.progress()[0]
         left = (1.0 - share) * experiment.units(config)
-        seconds = left * (GUESSED_RATE if known is None else known)
+        seconds = STARTING + left * (GUESSED_RATE if known is None else known)
         result.append(Cost(cell.id, False, share, seconds, known is None))
     return result
 

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.protocol.plan import expand, settings, units_of
 from benchmarks.protocol.presets import Preset
-from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
+from benchmarks.runs.costs import GUESSED_RATE, STARTING, Cost, costs, duration, wall_seconds
 from benchmarks.runs.store import Store
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.conftest import Command
@@ -36,14 +36,15 @@ def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:
     planned = {cost.id: cost for cost in costs(Insertion(preset), store, [elsewhere])}
     assert planned["rainbow-optimized-safe-s0"].state == "complete"
     assert planned["rainbow-optimized-safe-s0"].seconds == 20.0
-    assert planned["rainbow-optimized-safe-s1"].seconds == pytest.approx(20.0)
-    assert planned["dqn-optimized-safe-s0"].seconds == pytest.approx(10.0)  # twice the steps
-    assert planned["dqn-optimized-safe-s1"].seconds == pytest.approx(7.5)
+    assert planned["rainbow-optimized-safe-s1"].seconds == pytest.approx(STARTING + 20.0)
+    # of twice the steps
+    assert planned["dqn-optimized-safe-s0"].seconds == pytest.approx(STARTING + 10.0)
+    assert planned["dqn-optimized-safe-s1"].seconds == pytest.approx(STARTING + 7.5)
     assert planned["dqn-optimized-safe-s1"].state == "25 %"
     guessed = planned["optimum-optimized-s0"]
     assert guessed.guessed
     optimum = next(settings(preset, cell) for cell in expand(preset) if cell.id == guessed.id)
-    assert guessed.seconds == pytest.approx(GUESSED_RATE * units_of(optimum))
+    assert guessed.seconds == pytest.approx(STARTING + GUESSED_RATE * units_of(optimum))
 
 
 def test_time_left_is_that_of_processes_taking_the_next_run() -> None:
