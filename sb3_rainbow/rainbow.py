@@ -351,7 +351,10 @@ class Rainbow(ResumableAlgorithm):
         return self.beta_start + progress * (self.beta_end - self.beta_start)
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
-        """Update the networks ``gradient_steps`` times, by ``batch_size`` transitions each."""
+        """Update the networks ``gradient_steps`` times, by ``batch_size`` transitions each.
+
+        Who replaces it moves the target network too, or sets ``target_update_interval``.
+        """
         buffer = self.replay_buffer
         assert buffer is not None
         if isinstance(buffer, PrioritizedReplayBuffer):
@@ -376,9 +379,7 @@ class Rainbow(ResumableAlgorithm):
                 loss, priorities = learner.update(batch, tau)
                 if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
                     buffer.update_priorities(batch.indices, priorities.cpu().numpy())
-                    losses.append(float(loss))
-                else:
-                    losses.append(loss)
+                losses.append(loss)
         logs_due = -self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")

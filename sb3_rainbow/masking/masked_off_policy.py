@@ -97,9 +97,8 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         return actions, actions
 
     def _random_actions(self, n: int, masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-        if masks is None:
-            return np.array([self.action_space.sample() for _ in range(n)])
-        return np.array([self.action_space.sample(mask) for mask in masks.astype(np.int8)])
+        rows: Any = [None] * n if masks is None else masks.astype(np.int8)
+        return np.array([self.action_space.sample(mask) for mask in rows])
 
     def _epsilon_greedy(
         self, actions: NDArray, epsilon: float, action_masks: NDArray | None

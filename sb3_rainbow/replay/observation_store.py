@@ -71,8 +71,9 @@ class ObservationStore:
             values = np.ascontiguousarray(parts[key], dtype=dtype)
             expected = (self.n_envs, *shape)
             if shape == (1,) and dtype.kind in "iu" and values.shape == (self.n_envs,):
-                # Discrete observations have no axis of their own.
-                values = values[:, None]
+                values = values[:, None]  # discrete ones have no axis of their own
+            elif self.n_envs == 1 and values.shape == shape:
+                values = values[None]  # one env's without the envs' axis, as SB3's buffers take it
             if values.shape != expected:
                 name = f" {key!r}" if key else ""
                 raise ValueError(

@@ -189,6 +189,21 @@ def test_an_observation_of_another_shape_is_an_error(
     assert buffer.size() == 1
 
 
+@pytest.mark.parametrize("space", [BOTH, *BOTH.values(), spaces.Box(-1, 1, (4,))], ids=str)
+def test_one_env_may_leave_out_the_axis_of_envs_as_with_sb3(space: spaces.Space) -> None:
+    space.seed(0)
+    bare, whole = (PrioritizedReplayBuffer(9, space, spaces.Discrete(3)) for _ in range(2))
+    now, after = space.sample(), space.sample()
+    batched: Any
+    rest: Any = (np.array(1), 0.5, False, [{}])
+    for given in ((now, after), (after, now)):
+        bare.add(*given, *rest)
+        batched = [{k: v[None] for k, v in o.items()} if space is BOTH else o[None] for o in given]
+        whole.add(*batched, *rest)
+    np.testing.assert_equal(bare.observations, whole.observations)
+    assert bare.size() == 2
+
+
 def test_a_buffer_beyond_the_memory_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     psutil = pytest.importorskip("psutil")
 
