@@ -145,7 +145,7 @@ def inverse(
 
     With s the spherical joint, ``D^2 = (u.s - Rb)^2 + s_z^2`` and
     ``c = (L1^2 + D^2 - L2^2) / (2 L1 D)``: reachable iff ``|c| <= 1`` on all three limbs, and
-    ``q = atan2(s_z, u.s - Rb) - acos c``.
+    ``q = atan2(s_z, u.s - Rb) - acos c``, in (-pi, pi].
 
     >>> q, reachable = inverse([[0.0, 0.0, 0.21], [0.2, -0.1, 0.23], [0.0, 0.0, 0.5]])
     >>> q.round(6)

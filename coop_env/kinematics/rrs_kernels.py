@@ -106,7 +106,7 @@ def limb_triangle(pose: Pose, limb: int, p: RRSParams) -> Row:
 
 @njit(cache=True)
 def limb_ik(pose: Pose, limb: int, p: RRSParams) -> tuple[bool, float]:
-    """Whether a limb's actuated angle q is real, and q (rad, elbow out; NaN if not), by cosines.
+    """Whether a limb's actuated angle q is real, and q in (-pi, pi], elbow out (NaN if not), rad.
 
     |c| <= 1 also refuses joints nearer than ``L2 - L1``, which the paper's ``|D - L1| <= L2`` lets
     pass.
@@ -114,7 +114,8 @@ def limb_ik(pose: Pose, limb: int, p: RRSParams) -> tuple[bool, float]:
     radial, height, c = limb_triangle(pose, limb, p)
     if not abs(c) <= 1.0:
         return False, math.nan
-    return True, math.atan2(height, radial) - math.acos(c)
+    q = math.atan2(height, radial) - math.acos(c)
+    return True, q if q > -math.pi else q + 2.0 * math.pi
 
 
 @njit(cache=True)

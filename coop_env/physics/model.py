@@ -37,8 +37,8 @@ TIMESTEP: Final = 0.002
 """s, unless the task asks for another."""
 CONTACT_TIME: Final = 0.005
 """Time constant of a contact, a critically damped spring, s. It sets the forces."""
-DELTA_RANGE: Final = (-0.75 * math.pi, 0.75 * math.pi)
-"""Range of the Delta's actuated angles, wider than its workspace; rad."""
+DELTA_RANGE: Final = (-math.pi, math.pi)
+"""Range of the Delta's actuated angles, wider than any Delta's workspace; rad."""
 LOOP_TIME: Final = 0.004
 """Time constant of the ties that close loops, s; the stiffest that TIMESTEP can have."""
 _PLAY_DAMPING: Final = 0.005  # of the effector's tilt within its play, N m s/rad

@@ -48,7 +48,7 @@ COLOURS: Final = MappingProxyType(
 
 SIDES: Final = MappingProxyType({"left": -1.0, "right": 1.0})  # of the limb's plane, of the rods
 ROD_SPACING: Final = 0.017  # half the distance between a forearm's two rods, m
-_BORE: Final = 0.0055  # radius of a hole as drawn; the peg's is 0.004 m
+_BORE: Final = 1.375  # radius of a hole as drawn, of the peg's
 _RING: Final = 0.003  # least width of the ring about it, m
 _LIFT: Final = 0.0006  # marks stand this proud of the dome, m
 
@@ -178,8 +178,8 @@ def hole_bodies(scene: Scene) -> Iterator[Body]:
 
     An arrow along the target's normal shows where the peg must come from.
     """
-    radius = scene.dome_radius
-    inner, outer = _BORE / radius, max(scene.chamfer, _BORE + _RING) / radius
+    radius, hole = scene.dome_radius, _BORE * scene.peg_radius
+    inner, outer = hole / radius, max(scene.chamfer, hole + _RING) / radius
     for index, normal in enumerate(scene.hole_normals):
         state = hole_state(scene, index)
         turn, centre = frame(normal), scene.platform_centre
@@ -188,7 +188,7 @@ def hole_bodies(scene: Scene) -> Iterator[Body]:
         bore = shapes.cap(radius + _LIFT, 0.0, inner, 2, 28)
         yield Body(f"platform/bore{index}", bore, turn, centre, COLOURS["bore"], 0.0)
         if state == "filled":
-            plug = shapes.cylinder(0.85 * _BORE, 0.0, 0.011, 20, chamfer=0.001)
+            plug = shapes.cylinder(0.85 * hole, 0.0, 0.011, 20, chamfer=0.001)
             at, name = scene.hole_mouths[index], f"platform/plug{index}"
             yield Body(name, plug, turn, at, COLOURS["filled"])
         elif state == "target":

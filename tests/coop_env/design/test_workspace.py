@@ -29,15 +29,16 @@ def test_the_papers_headline_and_the_tables_other_figures() -> None:
         assert math.radians(12.0) <= result.joint_low <= result.joint_high <= math.radians(78.0)
 
 
-@pytest.mark.parametrize("g", GEOMETRIES.values(), ids=GEOMETRIES)
+@pytest.mark.parametrize("g", [*GEOMETRIES.values(), reference.FLAT], ids=[*GEOMETRIES, "flat"])
 def test_agrees_with_numpy_and_batched_svd_cell_by_cell(g: RRSGeometry) -> None:
     sigma, component = reference.workspace_map(g)
-    result = design.workspace_map(g)
+    problem = DesignProblem.of(g)
+    result = design.workspace_map(g, problem)
     np.testing.assert_array_equal(result.inside, component)
     np.testing.assert_allclose(result.sigma, sigma, atol=1e-8)
-    poses = np.stack([*result.samples, np.full_like(sigma, 0.21)], axis=-1)
+    poses = np.stack([*result.samples, np.full_like(sigma, g.home_heave)], axis=-1)
     np.testing.assert_array_equal(result.kappa, rrs.condition_number(poses, g))
-    assert result.area == pytest.approx(design.workspace_area(g), abs=1e-12)
+    assert result.area == pytest.approx(design.workspace_area(g, problem), abs=1e-12)
 
 
 def test_no_tilt_limit_is_needed_for_the_papers_designs() -> None:

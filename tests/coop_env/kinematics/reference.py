@@ -18,6 +18,10 @@ Floats = NDArray[np.float64]
 
 # a Delta whose limbs also reach places above its knees' plane, within the paper's bounds
 FOLDING = DeltaGeometry(0.2333, 0.0439, proximal_length=0.205, distal_length=0.3132)
+# a 3-RRS so low that a joint dips below the base's plane, inside of its base joint
+FLAT = RRSGeometry(
+    0.397, 0.2705, 0.1867, 0.4055, heave_min=0.0214, heave_max=0.06, home_heave=0.0214
+)
 _AZIMUTHS = np.radians([0.0, 120.0, 240.0])
 RADIAL = np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS), np.zeros(3)], axis=-1)
 TANGENTIAL = np.stack([-np.sin(_AZIMUTHS), np.cos(_AZIMUTHS), np.zeros(3)], axis=-1)
@@ -60,6 +64,7 @@ def evaluate(rph: Floats, geometry: RRSGeometry) -> ReferenceState:
             (g.proximal_length**2 + reach**2 - g.distal_length**2) / (2 * g.proximal_length * reach)
         )
     q = np.arctan2(from_base[..., 2], np.einsum("...ia,ia->...i", from_base, RADIAL)) - at_base
+    q = np.angle(np.exp(1j * q))  # where the crank points, whatever the turns
     reachable = np.isfinite(q).all(axis=-1)
 
     safe = np.where(reachable[..., None], q, 0.0)

@@ -14,6 +14,7 @@ OTHER = Machine(
     rrs=RRSGeometry(base_radius=0.19, proximal_length=0.1, platform_radius=0.11),
     delta=DeltaGeometry(proximal_length=0.22, distal_length=0.5, base_height=0.9),
 )
+WIDE = Machine(delta=DeltaGeometry(0.474, 0.09, 0.182, 0.341, base_height=0.84))
 
 
 @pytest.mark.parametrize("machine", [Machine(), Machine(rrs=INITIAL), OTHER])
@@ -24,6 +25,15 @@ def test_it_comes_to_rest_where_the_kinematics_say(machine: Machine) -> None:
     assert np.degrees(result.platform.max()) < 0.05
     assert result.loop.max() < 1e-6
     assert np.degrees(result.joints.max()) < 0.01
+
+
+def test_a_wide_deltas_cranks_fold_as_far_inwards_as_its_kinematics() -> None:
+    twin, there = Twin(WIDE), np.array([-0.006, -0.0515, -0.3007, 0.0, 0.0, 0.21])
+    assert delta.is_valid(there[:3], WIDE.delta)
+    assert np.degrees(delta.inverse(there[:3], WIDE.delta).theta.max()) > 140.0
+    twin.place(0, there)
+    readings = last(twin.advance(twin.servo_targets(there)[None], 500))
+    assert closed_at(readings.joints, there[None], WIDE)[0] == pytest.approx(there, abs=5e-5)
 
 
 def test_a_placed_machine_is_assembled_and_its_forward_kinematics_agree() -> None:

@@ -53,6 +53,14 @@ def test_every_camera_gives_a_picture_of_its_own() -> None:
         assert (np.abs(image - other).max(axis=2) > 30).mean() > 0.02
 
 
+@pytest.mark.parametrize("radius", [0.002, 0.004, 0.012])
+def test_holes_are_drawn_as_wide_as_the_peg_needs(radius: float) -> None:
+    env = CoopInsertionEnv(render_mode="rgb_array", delta={"peg_radius": radius})
+    env.reset(seed=0)
+    (bore,) = (b.mesh.vertices for b in bodies(env.scene()) if b.name == "platform/bore0")
+    assert 1.2 * radius < np.hypot(*bore[:, :2].T).max() < 1.5 * radius
+
+
 def test_picture_follows_every_degree_of_freedom() -> None:
     size = (320, 240)
     before = render_frame(make_scene(), size=size, panel=False).astype(int)
