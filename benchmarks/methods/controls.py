@@ -77,6 +77,7 @@ def _scripted(method: str, episodes: Sequence[Episode], weight: float) -> Choose
             return own_choices(states, masks, weight, env.sight, packed)
         if isinstance(env, CoopInsertionJointEnv):
             return joint_choices(states, masks, weight, packed)
+        states["mask"] = masks  # under a shield narrower than the state's
         return choices(states, weight, method.startswith("lookahead"), packed)
 
     return choose

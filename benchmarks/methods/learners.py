@@ -106,7 +106,8 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
     if issubclass(algorithm, Rainbow):
         arguments |= ABLATIONS[cell.ablation]
         if arguments.get("noisy", True):  # the paper's explores by its noise alone
-            arguments |= {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+            names = {"exploration_initial_eps", "exploration_final_eps"} - own.keys()
+            arguments |= dict.fromkeys(names, 0.0)
         policy = POLICIES.get(track.team, policy)
         if track.team == "vdn":
             arguments["policy_kwargs"]["columns"] = env.get_attr("columns")[0].tolist()

@@ -319,6 +319,8 @@ def _of_team(track: Track, methods: list[str]) -> Iterator[str]:
     for method in methods:
         if method not in OF_TEAMS:
             yield f"{team}: method '{method}' has no form for a team; known: {known(OF_TEAMS)}"
+        elif method in LEARNERS and method != "rainbow" and track.team != "central":
+            yield f"{team}: its networks are Rainbow's, not of '{method}'; take team = 'central'"
 
 
 def _of_planner(preset: Preset, method: str, tracks: list[str]) -> Iterator[str]:

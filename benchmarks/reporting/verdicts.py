@@ -94,6 +94,12 @@ def few(row: Group) -> str:
     return "" if row.n >= SEEDS else f"{row.n} of {row.planned or SEEDS} seeds"
 
 
+def in_common(comparison: Comparison) -> str:
+    """How few seeds two have in common; empty if they are enough."""
+    n = comparison.difference.n
+    return "" if n >= SEEDS else f"{n} seeds in common"
+
+
 def performance(results: Results, compared: list[Comparison]) -> Verdict:
     """Rainbow against the paper's figure, the best script, masked DQN and the optimum."""
     greedy = results.group("rainbow", results.scored)
@@ -140,8 +146,8 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     if (planner := results.group("rrt_lattice")).n:
         details.append(f"{planner.name}, which needs a model too, reaches {_rate(planner)}.")
     why = ground(ours) or ("" if script else "no script was run")
-    if script and not why and few(script.theirs):
-        why = f"best script: {few(script.theirs)}"
+    if script and not why and (theirs := few(script.theirs) or in_common(script)):
+        why = f"best script: {theirs}"
     if why or script is None:
         (holds, verdict), so_far = Verdict("", "No verdict yet on the success rate"), f" ({why})"
     else:
@@ -211,8 +217,7 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         )
         if change := _in_training(together):
             said.append(f"In training, in which the weights go on changing, it is {change}.")
-        n = together.difference.n
-        theirs = ground(together.theirs) or (f"{n} seeds in common" if n < SEEDS else "")
+        theirs = ground(together.theirs) or in_common(together)
         why = why or (theirs and f"masked DQN: {theirs}")
     costs, greedily = ([c for c in each if outcome(c) == WORSE] for each in (singles, greedily))
     alone = [c for c in singles if c.difference.high < 0.0 and c not in costs]
@@ -295,7 +300,7 @@ def geometry(results: Results, compared: list[Comparison]) -> Verdict:
             f"(paper {' to '.join(GEOMETRY_ABLATION[key])})"
         )
     each = find(compared, Question.GEOMETRY, before)
-    if why := ground(before) or ground(after):
+    if why := ground(before) or ground(after) or (in_common(each) if each else ""):
         holds, verdict, so_far = "", "No verdict yet on optimizing the 3-RRS", f" ({why})"
     else:
         so_far = _so_far(before, after)

@@ -111,6 +111,8 @@ def digest(settings: Mapping[str, Any]) -> str:
 def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings by their keys with dots, without those that decide no result."""
     flat = pd.json_normalize(dict(settings)).to_dict("records")[0]
+    if (settings.get("track") or {}).get("shield") == {}:  # of the usual margins; none is None
+        flat["track.shield"] = {}
     return {str(key): value for key, value in flat.items() if key not in WORDS}
 
 

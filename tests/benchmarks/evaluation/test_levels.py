@@ -87,6 +87,17 @@ def test_rows_say_how_they_were_played_and_exploring_repeats(method: str, preset
     assert first == sorted(first)
 
 
+def test_rainbow_explores_by_its_noise_but_where_a_track_says_otherwise(preset: Preset) -> None:
+    safe = dataclasses.replace(
+        preset.tracks["safe"], methods={"rainbow": {"exploration_initial_eps": 0.3}}
+    )
+    own = dataclasses.replace(preset, tracks={**preset.tracks, "safe": safe})
+    for each, first in ((preset, 0.0), (own, 0.3)):
+        mine = cell("rainbow", "safe")
+        model: Any = build_model(each, mine, make_training_env(each, mine))
+        assert (model.exploration_initial_eps, model.exploration_final_eps) == (first, 0.0)
+
+
 def test_a_script_that_explores_makes_one_move_of_twenty_at_random() -> None:
     masks = np.zeros((200, 12), np.bool_)
     masks[:, 3:5] = True

@@ -72,6 +72,15 @@ def test_the_chosen_move_has_the_least_potential(method: str, arguments: dict[st
 
 
 @pytest.mark.parametrize("method", ["greedy", "lookahead"])
+def test_a_script_keeps_to_the_masks_of_a_shield(method: str) -> None:
+    for episode in begin_episodes({"reward": "progress", "shield": {}}, 1, 2, "validate"):
+        while not episode.over and episode.moves < 40:
+            action = choose(method, episode)
+            assert episode.env.action_masks()[action]
+            episode.move(action)
+
+
+@pytest.mark.parametrize("method", ["greedy", "lookahead"])
 def test_the_observation_is_enough_without_noise(method: str) -> None:
     same = moves = 0
     for episode in begin_episodes(SAFE, 2, 6, "validate"):

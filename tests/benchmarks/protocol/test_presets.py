@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol import plan
 from benchmarks.protocol.labels import knowledge
 from benchmarks.protocol.plan import expand, settings
 from benchmarks.protocol.presets import Preset, load, load_preset, preset_names
@@ -140,6 +141,18 @@ def test_an_impossible_cell_is_refused(
     preset = parsed(smoke() | {"tracks": tracks, "runs": [group | more]})
     with pytest.raises(BenchmarkError, match=word):
         expand(preset)
+
+
+def test_a_learner_of_ones_own_takes_a_team_as_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    def made(track: str) -> Preset:
+        group = {"methods": ["dqn"], "tracks": [track]}
+        return parsed(smoke() | {"tracks": {track: None}, "runs": [group]})
+
+    monkeypatch.setattr(plan, "OF_TEAMS", (*plan.OF_TEAMS, "dqn"))
+    assert expand(made("central"))
+    for track in ("vdn", "independent"):
+        with pytest.raises(BenchmarkError, match="its networks are Rainbow's, not of 'dqn'"):
+            expand(made(track))
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,10 @@ Reports = Callable[..., dict[str, str]]
 
 @pytest.fixture
 def results_of(tmp_path: Path) -> ResultsOf:
-    """Results of runs that solve so many episodes, seed by seed, whichever way they act."""
+    """Results of runs that solve so many episodes, seed by seed, whichever way they act.
+
+    A seed with -1 has no run.
+    """
 
     def write(
         solved: Mapping[str, list[int]], training: Mapping[str, Any] | None = None,
@@ -46,7 +49,8 @@ def results_of(tmp_path: Path) -> ResultsOf:
         for name, per_seed in solved.items():
             report = (training or {}).get(name, TRAINED)
             for seed, count in enumerate(per_seed):
-                fill(store, preset, cells[f"{name}-s{seed}"], count, more=0, **report)
+                if count >= 0:
+                    fill(store, preset, cells[f"{name}-s{seed}"], count, more=0, **report)
         return Results(store)
 
     return write
@@ -240,6 +244,16 @@ def test_the_difference_in_training_has_its_own_sign(results_of: ResultsOf) -> N
     said = sentences(read_again(results))["components"]
     assert "Rainbow's success rate is 25.0 points [22.5, 27.5] above" in said
     assert re.search(r"it is [1-9][\d.]* points \[[\d., ]*\] below\.", said)
+
+
+def test_no_verdict_rests_on_fewer_than_three_seeds_in_common(report_of: Reports) -> None:
+    report = report_of(LEARNED | {SCRIPT: [-1, -1, 49, 50, 52], INITIAL: [-1, 71, 72, 70]})
+    assert report["performance"].startswith(
+        "**No verdict yet on the success rate (best script: 1 seeds in common).**"
+    )
+    assert report["geometry"].startswith(
+        "**No verdict yet on optimizing the 3-RRS (2 seeds in common).**"
+    )
 
 
 def test_a_removal_alone_says_nothing_of_all_components(report_of: Reports) -> None:

@@ -4,12 +4,21 @@ import math
 import threading
 import time
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import pytest
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.runs.store import SCHEMA, RunFolder, Store, write_atomic, write_text
+from benchmarks.runs.store import (
+    SCHEMA,
+    RunFolder,
+    Store,
+    changes,
+    digest,
+    write_atomic,
+    write_text,
+)
 from tests.benchmarks.conftest import Command
 
 
@@ -73,6 +82,14 @@ def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
     # other words for the same settings are no other run
     run.begin({"track": {"description": "Quick", "gamma": 0.99, "tau": 0.1}})
     assert (run.path / "config.yaml").read_bytes() == before
+
+
+def test_a_shield_of_the_usual_margins_is_no_lack_of_one() -> None:
+    bare: dict[str, Any] = {"track": {"gamma": 0.99, "shield": None}}
+    usual: dict[str, Any] = {"track": {"gamma": 0.99, "shield": {}}}
+    assert changes(bare, usual) == ["track.shield: None -> {}"]
+    assert changes({"track": {"gamma": 0.99}}, usual) == ["track.shield: absent -> {}"]
+    assert digest(bare) != digest(usual)
 
 
 def test_a_lock_can_be_waited_for(tmp_path: Path) -> None:
