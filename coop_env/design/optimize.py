@@ -72,11 +72,14 @@ class _Cost:
             geometry = self.problem.geometry(lambda1, lambda2)
         except GeometryError:
             return -1e-9  # on a bound itself
-        broken = _excess(*(-constraint(geometry) for constraint in self.constraints))
+        margins = [constraint(geometry) for constraint in self.constraints]
+        if any(margin is None for margin in margins):
+            raise DesignError("a constraint returns None: it must return its margin, a number")
+        broken = _excess(*(-margin for margin in margins))
         if broken > 0.0:
             return -broken
         value = self.objective(geometry, self.problem, self.samples)
-        if not 0.0 <= value < math.inf:
+        if value is None or not 0.0 <= value < math.inf:
             raise DesignError(
                 f"the objective is {value!r} at lambda1 = {lambda1:.4f}, lambda2 = {lambda2:.4f}: "
                 "it must be finite and not negative on every design that meets the constraints"

@@ -43,7 +43,10 @@ def _open_server(host: str, port: int) -> viser.ViserServer:
             probe.bind((host, port))
         except OSError as error:
             raise ViewerError(f"{host}:{port} cannot be used ({error}): try another port") from None
-    return viser.ViserServer(host, port, label="Cooperative insertion", verbose=False)
+    server: Any = viser.ViserServer(host, port, label="Cooperative insertion", verbose=False)
+    # any client may ask viser for a public address, even a foreign page in the same browser
+    server.request_share_url = lambda *_, **__: None
+    return server
 
 
 def _weld(body: Body) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:

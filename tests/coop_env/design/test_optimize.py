@@ -134,6 +134,11 @@ def test_another_designers_objective_and_constraint() -> None:
     assert result.geometry.base_radius <= 0.2
     with pytest.raises(DesignError, match="breaks a constraint"):
         design.optimize(COARSE, constraints=[lambda g: 0.1 - g.base_radius])
+    nothing: Any = None
+    with pytest.raises(DesignError, match="objective is None"):
+        design.optimize(COARSE, objective=lambda *_: nothing)
+    with pytest.raises(DesignError, match="a constraint returns None"):
+        design.optimize(COARSE, constraints=[lambda _: nothing])
     with pytest.raises(DesignError, match="objective is nan"):
         design.optimize(COARSE, objective=lambda *_: math.nan)
 

@@ -39,6 +39,13 @@ def view(opened: Viewer) -> Viewer:
     return opened
 
 
+def test_no_client_gets_a_public_address(view: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[Any] = []
+    monkeypatch.setattr("viser._viser.ViserTunnel", lambda *given: opened.append(given))
+    assert view._server.request_share_url() is None
+    assert opened == []
+
+
 def test_slider_moves_the_robots_and_keeps_the_task(view: Viewer) -> None:
     assert view.place(3, 10.0)
     assert view.env.configuration[3] == pytest.approx(np.radians(10.0))
