@@ -97,7 +97,7 @@ def few(row: Group) -> str:
 def in_common(comparison: Comparison) -> str:
     """How few seeds two have in common; empty if they are enough."""
     n = comparison.difference.n
-    return "" if n >= SEEDS else f"{n} seeds in common"
+    return "" if n >= SEEDS else f"{n} seed{'s' * (n != 1)} in common"
 
 
 def performance(results: Results, compared: list[Comparison]) -> Verdict:

@@ -249,7 +249,7 @@ def test_the_difference_in_training_has_its_own_sign(results_of: ResultsOf) -> N
 def test_no_verdict_rests_on_fewer_than_three_seeds_in_common(report_of: Reports) -> None:
     report = report_of(LEARNED | {SCRIPT: [-1, -1, 49, 50, 52], INITIAL: [-1, 71, 72, 70]})
     assert report["performance"].startswith(
-        "**No verdict yet on the success rate (best script: 1 seeds in common).**"
+        "**No verdict yet on the success rate (best script: 1 seed in common).**"
     )
     assert report["geometry"].startswith(
         "**No verdict yet on optimizing the 3-RRS (2 seeds in common).**"
