@@ -11,7 +11,7 @@ from sb3_rainbow.settings import HESSEL
 
 __version__ = "0.1.0"
 # what compiles at a first call, and how long that takes
-_KERNELS = "replay, networks and updates: about 10 s"
+_KERNELS = "replay, networks and updates: about 15 s"
 
 __all__ = [
     "HESSEL",
