@@ -4,7 +4,7 @@ Each is a ``ValueError`` whose message names the value and the mend.
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from numbers import Real
@@ -98,10 +98,22 @@ def check_integer(
     return int(value)
 
 
-def is_list(value: Any) -> bool:
-    """Whether a value is a collection of entries: neither text, a mapping nor an iterator."""
+def check_list(
+    name: str, value: Any, of: str, n: int | None = None, error: type[ValueError] = ArgumentError
+) -> list[Any]:
+    """The entries, ``n`` if given, of a collection that is no text, mapping or iterator."""
     one = isinstance(value, (str, bytes, Mapping)) or getattr(value, "ndim", 1) == 0
-    return isinstance(value, Collection) and not one
+    if one or not isinstance(value, Collection) or n not in (None, len(value)):
+        raise error(f"{name} = {value!r}: must be {of}")
+    return list(value)
+
+
+def check_keys(
+    name: str, given: Iterable[Any], known: Sequence[str], error: type[ValueError] = ArgumentError
+) -> None:
+    """Refuse keys that are not among the known ones."""
+    if unknown := sorted({str(key) for key in given if key not in known}):
+        raise error(f"{name} has unknown keys {unknown}; known: {[*known]}")
 
 
 def check_flag(name: str, value: Any) -> bool:
@@ -121,10 +133,7 @@ def as_dataclass(name: str, value: Any, kind: type[T], presets: Mapping[Any, T] 
         names = "".join(f"{preset!r}, " for preset in presets)
         kinds = f"{names}a {kind.__name__} or a mapping of its fields"
         raise ArgumentError(f"{name} = {value!r}: must be {kinds}")
-    known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
-    unknown = sorted(str(key) for key in value if key not in known)
-    if unknown:
-        raise ArgumentError(f"{name} has unknown keys {unknown}; known: {known}")
+    check_keys(name, value, [f.name for f in fields(kind)])  # type: ignore[arg-type]
     try:
         return kind(**value)
     except TypeError as missing:

@@ -18,11 +18,10 @@ from coop_env.design.problem import (
     DesignProblem,
     Floats,
     Samples,
-    check_list,
     workspace_area,
     workspace_map,
 )
-from coop_env.errors import check_integer, check_number
+from coop_env.errors import check_integer, check_list, check_number
 from coop_env.geometry import GeometryError, RRSGeometry
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch, tilt_azimuth
@@ -102,7 +101,7 @@ def over_heaves(
     >>> over_heaves(OPTIMIZED, [0.20, 0.21]).round(2).tolist()  # the cliff below home
     [0.57, 1.16]
     """
-    check_list("heaves", heaves, "heights")
+    check_list("heaves", heaves, "a list of heights", error=DesignError)
     each = (replace(problem, heaves=(float(heave),)) for heave in heaves)
     return np.array([workspace_area(geometry, at_heave) for at_heave in each])
 
@@ -206,8 +205,8 @@ def cone_trajectory(
     """
     if not 0.0 < check_number("tilt", tilt, error=DesignError) < math.pi / 2:
         raise DesignError(f"tilt = {tilt!r} rad: must lie in (0, pi/2)")
-    check_list("heave", heave, "the lowest and the highest", 2)
-    low, high = (check_number("a height of heave", h, error=DesignError) for h in heave)
+    ends = check_list("heave", heave, "a list of the lowest and the highest", 2, DesignError)
+    low, high = (check_number("a height of heave", h, error=DesignError) for h in ends)
     check_number("duration", duration, 0.0, above=True, error=DesignError)
     time = np.linspace(0.0, duration, 1201)
     u = time / duration

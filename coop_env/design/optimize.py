@@ -15,11 +15,10 @@ from coop_env.design.problem import (
     Floats,
     Objective,
     Samples,
-    check_list,
     sample_points,
     workspace_area,
 )
-from coop_env.errors import check_integer, check_number
+from coop_env.errors import check_integer, check_list, check_number
 from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
 
 Constraint = Callable[[RRSGeometry], float]  # satisfied where it is not negative
@@ -149,8 +148,8 @@ def optimize(
     """
     check_number("simplex", simplex, 0.0, above=True, error=DesignError)
     check_integer("max_evaluations", max_evaluations, 1, error=DesignError)
-    check_list("constraints", constraints, "functions of a geometry")
-    check_list("start", start, "lambda1 and lambda2", 2)
+    check_list("constraints", constraints, "a list of functions of a geometry", error=DesignError)
+    check_list("start", start, "a list of lambda1 and lambda2", 2, DesignError)
     for i, number in enumerate(start):
         check_number(f"lambda{i + 1} of start", number, error=GeometryError)
     if seed is not None:
@@ -211,7 +210,7 @@ def optimize_globally(
     for name, number in (("population", population), ("generations", generations)):
         check_integer(name, number, 1, error=DesignError)
     check_integer("seed", seed, 0, error=DesignError)
-    check_list("constraints", constraints, "functions of a geometry")
+    check_list("constraints", constraints, "a list of functions of a geometry", error=DesignError)
     cost = _Cost(problem, objective, sample_points(problem), constraints)
     start = INITIAL.lambdas[:2]
     start_value = max(cost.value(*start), 0.0)
@@ -279,7 +278,7 @@ def atlas(
         ("lambda1", "lambda2"), (lambda1, lambda2), FEASIBLE_BOX, strict=True
     ):
         if given is not None:
-            check_list(name, given, "numbers")
+            check_list(name, given, "a list of numbers", error=DesignError)
         axes.append(np.arange(low, high, 0.04) if given is None else np.asarray(given, float))
     rows, columns = axes
     cost = _Cost(problem, objective, sample_points(problem), constraints)
@@ -299,6 +298,6 @@ def at_heaves(problem: DesignProblem, heaves: Sequence[float]) -> DesignProblem:
     >>> at_heaves(DesignProblem(), [0.20, 0.22]).heaves
     (0.21, 0.2, 0.22)
     """
-    check_list("heaves", heaves, "heights")
+    check_list("heaves", heaves, "a list of heights", error=DesignError)
     others = tuple(float(h) for h in heaves if h != problem.home_heave)
     return replace(problem, heaves=(problem.home_heave, *others))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from coop_env.compilation import njit
-from coop_env.errors import check_integer, check_number, is_list
+from coop_env.errors import check_integer, check_list, check_number
 from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs_kernels as rrs
 from coop_env.kinematics.singularity import is_manipulable, manipulability
@@ -35,12 +35,6 @@ ETA: Final = round(0.5 * (INITIAL.characteristic_length + OPTIMIZED.characterist
 
 class DesignError(ValueError):
     """A design problem that cannot be solved as posed; the message names the value and the mend."""
-
-
-def check_list(name: str, values: Any, of: str, count: int | None = None) -> None:
-    """DesignError unless the value is a list, of so many entries where a ``count`` is given."""
-    if not is_list(values) or count not in (None, len(values)):
-        raise DesignError(f"{name} = {values!r}: must be a list of {of}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +69,11 @@ class DesignProblem:
     pose_model: str = "exact"
 
     def __post_init__(self) -> None:
-        check_list("heaves", self.heaves, "heights, the home heave first")
-        if not len(self.heaves):
+        of = "a list of heights, the home heave first"
+        heaves = check_list("heaves", self.heaves, of, error=DesignError)
+        if not heaves:
             raise DesignError("heaves is empty: it has the home heave at least")
-        object.__setattr__(self, "heaves", tuple(self.heaves))
+        object.__setattr__(self, "heaves", tuple(heaves))
         for i, heave in enumerate(self.heaves):
             check_number(f"heaves[{i}]", heave, 0.0, above=True, error=DesignError)
         for name in ("eta", "distal_length", "threshold", "extent", "max_tilt"):

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.errors import ResetOptionError
+from coop_env.errors import ResetOptionError, check_keys
 from coop_env.physics.batch import LIMIT, OBSERVED, PhysicsBatch
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import OWN_OPTIONS, draw_error, split_options, start_configurations
@@ -38,10 +38,7 @@ class ContactBatch(PhysicsBatch):
     def check_options(self, options: Any) -> dict[str, Any]:
         own, rest = split_options(options)
         hole, choices = rest.pop("hole", None), self._open.tolist()
-        if rest:
-            known = ["hole", *OWN_OPTIONS]
-            unknown = sorted(map(str, rest))
-            raise ResetOptionError(f"options has unknown keys {unknown}; known: {known}")
+        check_keys("options", rest, ["hole", *OWN_OPTIONS], ResetOptionError)
         if hole is None:
             return own
         whole = isinstance(hole, (int, np.integer)) and not isinstance(hole, bool)

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from coop_env.errors import ArgumentError, check_flag, check_number
+from coop_env.errors import ArgumentError, check_flag, check_list, check_number
 from coop_env.geometry import DELTA, OPTIMIZED, DeltaGeometry, GeometryError, RRSGeometry
 from coop_env.kinematics import delta as delta_kinematics
 from coop_env.physics.dome import Bore, dome_solids
@@ -79,12 +79,10 @@ class Servos:
         for name in positive:
             check_number(f"Servos.{name}", getattr(self, name), 0.0, 1e6, above=True)
         for name, n in (("rrs_masses", 3), ("delta_masses", 4)):
-            value = getattr(self, name)
-            if not isinstance(value, (tuple, list)) or len(value) != n:
-                raise ArgumentError(f"Servos.{name} = {value!r}: must be {n} masses")
+            given = check_list(f"Servos.{name}", getattr(self, name), f"{n} masses", n)
             masses = (
                 check_number(f"Servos.{name}[{i}]", mass, 0.0, 1e3, above=True)
-                for i, mass in enumerate(value)
+                for i, mass in enumerate(given)
             )
             object.__setattr__(self, name, tuple(masses))
 

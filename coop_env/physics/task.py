@@ -13,8 +13,8 @@ from coop_env.errors import (
     ResetOptionError,
     as_dataclass,
     check_integer,
+    check_list,
     check_number,
-    is_list,
 )
 from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
@@ -105,10 +105,9 @@ class ContactTask:
             if name not in ("peg", "max_steps", "friction"):
                 above, high = name not in may_be_zero, _LARGEST.get(name, 1e4)
                 check_number(f"ContactTask.{name}", getattr(self, name), 0.0, high, above=above)
-        if not isinstance(self.friction, (tuple, list)) or len(self.friction) != 2:
-            raise ArgumentError(f"ContactTask.friction = {self.friction!r}: must be two numbers")
-        low = check_number("ContactTask.friction[0]", self.friction[0], 0.0, 2.0, above=True)
-        high = check_number("ContactTask.friction[1]", self.friction[1], low, 2.0)
+        low, high = check_list("ContactTask.friction", self.friction, "two numbers", 2)
+        low = check_number("ContactTask.friction[0]", low, 0.0, 2.0, above=True)
+        high = check_number("ContactTask.friction[1]", high, low, 2.0)
         object.__setattr__(self, "friction", (low, high))
         if abs(self.substeps * self.timestep - self.dt) > 1e-9:
             raise ArgumentError(
@@ -220,10 +219,9 @@ def split_options(options: Any) -> tuple[Options, Options]:
         friction = check_number("friction", friction, 0.0, 2.0, above=True, error=ResetOptionError)
         own["friction"] = friction
     if error is not None:
-        if not is_list(error) or len(error) != 4:
-            raise ResetOptionError(f"error = {error!r}: must be x, y, m, and two tilts, rad")
+        four = check_list("error", error, "x, y, m, and two tilts, rad", 4, ResetOptionError)
         own["error"] = [
             check_number(f"error[{i}]", number, -most, most, error=ResetOptionError)
-            for i, (number, most) in enumerate(zip(error, _LARGEST_ERROR, strict=True))
+            for i, (number, most) in enumerate(zip(four, _LARGEST_ERROR, strict=True))
         ]
     return own, rest

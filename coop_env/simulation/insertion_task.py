@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from coop_env.errors import ArgumentError, check_integer, check_number, is_list, keep_number
+from coop_env.errors import ArgumentError, check_integer, check_list, check_number, keep_number
 
 MAX_HOLES: Final = 32
 
@@ -101,7 +101,7 @@ class InsertionTask:
         first = check_integer("InsertionTask.stage_0_holes", self.stage_0_holes, 1)
         object.__setattr__(self, "stage_0_holes", first)
         name = "InsertionTask.start_clearance"
-        low, high = _pair(name, self.start_clearance)
+        low, high = check_list(name, self.start_clearance, "two numbers", 2)
         low = check_number(f"{name}[0]", low, 0.0, 1.0)
         high = check_number(f"{name}[1]", high, low, 1.0)
         object.__setattr__(self, "start_clearance", (low, high))
@@ -124,19 +124,11 @@ class InsertionTask:
         return (1,) * first + (0,) * (n - first)
 
 
-def _pair(name: str, value: Any) -> tuple[Any, Any]:
-    if not is_list(value) or len(both := list(value)) != 2:
-        raise ArgumentError(f"{name} = {value!r}: must be two numbers")
-    return both[0], both[1]
-
-
 def _holes(value: Any) -> tuple[tuple[float, float], ...]:
     name = "InsertionTask.holes"
-    if not is_list(value):
-        raise ArgumentError(f"{name} = {value!r}: must be pairs of polar angle and azimuth")
     result = []
-    for i, pair in enumerate(value):
-        polar, azimuth = _pair(f"{name}[{i}]", pair)
+    for i, pair in enumerate(check_list(name, value, "pairs of polar angle and azimuth")):
+        polar, azimuth = check_list(f"{name}[{i}]", pair, "two numbers", 2)
         polar = check_number(f"{name}[{i}] polar angle", polar, 0.0, math.pi / 2)
         azimuth = check_number(f"{name}[{i}] azimuth", azimuth, -2.0 * math.pi, 2.0 * math.pi)
         result.append((polar, azimuth))

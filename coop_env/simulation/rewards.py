@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Final
 
 from coop_env.compilation import njit
-from coop_env.errors import RewardError, check_number
+from coop_env.errors import RewardError, check_keys, check_number
 from coop_env.simulation.task import RewardParams
 
 TERMS: Final = (
@@ -53,11 +53,7 @@ def make_reward(kind: str, kwargs: Mapping[str, float | None] | None = None) -> 
         return RewardParams(True, 0.01, 1.0, 0.0, math.nan, 3.0, 1.0, math.nan)
     if kind != "progress":
         raise RewardError(f"reward = {kind!r}: must be 'paper' or 'progress'")
-    unknown = sorted({str(key) for key in given} - set(PROGRESS_DEFAULTS))
-    if unknown:
-        raise RewardError(
-            f"reward_kwargs has unknown keys {unknown}; known: {sorted(PROGRESS_DEFAULTS)}"
-        )
+    check_keys("reward_kwargs", given, sorted(PROGRESS_DEFAULTS), RewardError)
     scales = {**PROGRESS_DEFAULTS, **given}
     return RewardParams(paper=False, **{k: _scale(k, v) for k, v in scales.items()})
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.compilation import njit
-from coop_env.errors import ResetOptionError, check_integer, is_list
+from coop_env.errors import ResetOptionError, check_integer, check_list
 from coop_env.simulation import dynamics, state
 from coop_env.simulation.sim_to_real import SimToReal, draw_machine
 from coop_env.simulation.state import VALID, Record, state_dtype
@@ -136,9 +136,8 @@ def _filled(value: Any, active: NDArray[np.uint8]) -> NDArray[np.uint8]:
     filled = np.zeros(active.size, np.uint8)
     if value is None:
         return filled
-    if not is_list(value):
-        raise ResetOptionError(f"filled = {value!r}: must be a collection of hole indices")
-    for item in value:
+    of = "a collection of hole indices"
+    for item in check_list("filled", value, of, error=ResetOptionError):
         filled[_hole_index(item, "an entry of filled", active.size)] = 1
     if not (active > filled).any():
         raise ResetOptionError(
