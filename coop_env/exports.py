@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ArgumentError, imports
-from coop_env.physics.joints import tree_angles
+from coop_env.physics.joints import Floats, tree_angles
 from coop_env.physics.model import DELTA_RANGE, Machine, to_xml
 from coop_env.physics.twin import make_model
 from coop_env.rendering.bodies import ROD_SPACING, SIDES, Body, bodies, pixels
@@ -32,7 +31,6 @@ with imports("exports need", "trajectory"):
     import mujoco
     import trimesh
 
-Floats = NDArray[np.float64]
 UNITS: Final = {"m": 1.0, "mm": 1000.0}
 MESHES: Final = "meshes"
 """The folder of the meshes, beside the file."""

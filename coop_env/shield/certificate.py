@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from coop_env.compilation import njit
 from coop_env.shield.kernels import free_share, is_certified, way_point
-from coop_env.shield.shield import KinematicShield
+from coop_env.shield.shield import Floats, KinematicShield
 from coop_env.simulation.collision import ceiling, lowest
 from coop_env.simulation.state import VALID, configuration_status
 from coop_env.simulation.task import N_AXES, EnvParams, axis_bounds, pack, unpack
 
-Floats = NDArray[np.float64]
 CHUNK = 64  # 3-RRS points between two reports of progress
 
 
