@@ -1,8 +1,7 @@
 """The cooperative peg-in-hole task as a Gymnasium environment."""
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -203,9 +202,6 @@ class CoopInsertionEnv(Rendered):
         self._rows = np.zeros((1, self._observation.shape[1]), np.float32)
         self._actions = np.zeros(1, np.int64)
         self._started = False
-
-    def __copy__(self) -> Self:
-        return copy.deepcopy(self)  # two environments cannot move in the same rows
 
     @property
     def task(self) -> InsertionTask:

@@ -1,8 +1,7 @@
 """Both tasks with real contact as Gymnasium environments: one hole by feel, and all of them."""
 
-import copy
 from collections.abc import Mapping
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from gymnasium import spaces
@@ -114,9 +113,6 @@ class PhysicsEnv(PhysicsRow):
             reward_scale=reward_scale, privileged=privileged, **arguments,
         )  # fmt: skip
         super().__init__(batch, 0, self.discrete, render_mode)
-
-    def __copy__(self) -> Self:
-        return copy.deepcopy(self)  # two environments cannot move one machine
 
     @property
     def params(self) -> EnvParams:

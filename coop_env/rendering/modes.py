@@ -1,9 +1,10 @@
 """Gymnasium's render modes for an environment that can say what there is to see."""
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import gymnasium as gym
 from numpy.typing import NDArray
@@ -27,6 +28,9 @@ class Rendered(gym.Env[Any, Any], ABC):
     """``size``, ``camera``, ``panel``, ``samples`` of :func:`coop_env.rendering.render_frame`; set
     it on the instance, for a window before reset."""
     _trace: list[NDArray[Any]]
+
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)  # two environments cannot move in the same rows
 
     def _set_render_mode(self, mode: str | None, dt: float) -> None:
         """Check and keep the mode; a step takes ``dt``, s."""
