@@ -93,11 +93,6 @@ class CoopInsertionVecEnv(VecEnv):
         self._reset_options()
         return self._observed(self._vector.rows)
 
-    def _infos(self) -> Infos:
-        """A dictionary for each row: SB3's wrappers write into them."""
-        infos = batch.make_infos(self._vector.outcomes)
-        return infos if self.rows_each == 1 else [dict(info) for info in self._spread(infos)]
-
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take the actions (num_envs,) of the next :meth:`step_wait`.
 
@@ -116,7 +111,9 @@ class CoopInsertionVecEnv(VecEnv):
         ended = self._vector.move()
         outcomes, k = self._vector.outcomes, self.rows_each
         rewards = outcomes["reward"].astype(np.float32)
-        infos = self._infos()
+        infos = batch.make_infos(outcomes)
+        if k > 1:  # a dictionary for each row: SB3's wrappers write into them
+            infos = [dict(info) for info in self._spread(infos)]
         dones = np.zeros(len(self.envs), bool)
         dones[ended] = True
         for i in ended.tolist():
