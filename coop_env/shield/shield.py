@@ -191,6 +191,7 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
                 )
             layer = layer.env
         self.shield = KinematicShield(env, margin)
+        self._inner: Any = env.unwrapped
         space = env.action_space
         self._discrete = isinstance(space, spaces.Discrete)
         if isinstance(space, spaces.Discrete) and space.n != N_ACTIONS:
@@ -202,8 +203,10 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
 
         Where nothing is left, as at a start within the margin, the environment's own hold.
         """
-        inner = self.shield.allowed_moves(self._configuration())
-        return self.shield.masks(self._own_masks(), inner)
+        own = np.ones(N_ACTIONS, np.bool_)
+        if self.env.has_wrapper_attr("action_masks"):
+            own = np.asarray(self.env.get_wrapper_attr("action_masks")(), np.bool_)
+        return self.shield.masks(own, self.shield.allowed_moves(self._inner.configuration))
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
         """As the environment's."""
@@ -219,27 +222,16 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         info = {**info, "shielded": changed, "interventions": self.interventions}
         return observation, reward, terminated, truncated, info
 
-    def _configuration(self) -> Floats:
-        inner: Any = self.env.unwrapped
-        result: Floats = inner.configuration
-        return result
-
-    def _own_masks(self) -> NDArray[np.bool_]:
-        if not self.env.has_wrapper_attr("action_masks"):
-            return np.ones(N_ACTIONS, np.bool_)
-        return np.asarray(self.env.get_wrapper_attr("action_masks")(), np.bool_)
-
     def _certify(self, action: Any) -> tuple[Any, bool]:
-        inner: Any = self.env.unwrapped
-        wanted = inner.increments_of(action) * self.shield.steps
-        result, changed = self.shield.certify(self._configuration(), wanted)
+        wanted = self._inner.increments_of(action) * self.shield.steps
+        result, changed = self.shield.certify(self._inner.configuration, wanted)
         return (result / self.shield.steps).astype(np.float32) if changed else action, changed
 
     def _discretely(self, action: Any) -> tuple[int, bool]:
         move, masks = check_action(action), self.action_masks()
         if masks[move]:
             return move, False
-        sigma = self.shield.sigma_after(self._configuration())
+        sigma = self.shield.sigma_after(self._inner.configuration)
         return int(np.argmax(np.where(masks, sigma, -np.inf))), True
 
 

@@ -96,8 +96,8 @@ def test_no_random_agent_does_harm_and_the_way_back_stays_open() -> None:
     wrapped.reset(seed=1000)
     interventions, inside = 0, False
     for _ in range(1500):
-        inside |= wrapped.shield.is_certified(wrapped._configuration())
-        assert not inside or wrapped.shield.allowed_moves(wrapped._configuration()).any()
+        inside |= wrapped.shield.is_certified(wrapped._inner.configuration)
+        assert not inside or wrapped.shield.allowed_moves(wrapped._inner.configuration).any()
         _, _, terminated, truncated, info = wrapped.step(int(rng.integers(12)))
         assert not info["singular"]
         assert not inside or not info["violation"]
@@ -114,7 +114,7 @@ def test_masks_are_those_of_the_environment_and_of_the_shield() -> None:
     wrapped.step(4)
     own = wrapped.env.unwrapped.action_masks()  # type: ignore[attr-defined]
     np.testing.assert_array_equal(
-        wrapped.action_masks(), own & wrapped.shield.allowed_moves(wrapped._configuration())
+        wrapped.action_masks(), own & wrapped.shield.allowed_moves(wrapped._inner.configuration)
     )
     assert not wrapped.action_masks()[5]  # back to where it came from
     *_, info = wrapped.step(5)
@@ -125,7 +125,7 @@ def test_a_start_nearer_to_a_limit_than_the_margin_is_left_by_the_environments_o
     wrapped = ShieldWrapper(CoopInsertionEnv(), {"joint": 0.5})  # 9 of 66 degrees are left
     wrapped.reset(seed=0)
     own = wrapped.env.unwrapped.action_masks()  # type: ignore[attr-defined]
-    assert not wrapped.shield.allowed_moves(wrapped._configuration()).any()
+    assert not wrapped.shield.allowed_moves(wrapped._inner.configuration).any()
     np.testing.assert_array_equal(wrapped.action_masks(), own)
 
 
@@ -162,13 +162,13 @@ class TestContact:
         np.testing.assert_allclose(wrapped.shield.steps[: len(steps)], steps)
         wrapped.reset(seed=0, options=options)
         tilting = np.zeros(6, np.float32)
-        tilting[3:5] = np.sign(wrapped._configuration()[3:5])  # on towards the singularity
+        tilting[3:5] = np.sign(wrapped._inner.configuration[3:5])  # on towards the singularity
         for _ in range(60):
             *_, terminated, _, info = wrapped.step(tilting)
             assert not info["violation"]
             assert not terminated
         assert info["interventions"] > 0
-        assert rrs.signed_sigma_min(wrapped._configuration()[3:], OPTIMIZED) >= 0.2 - 1e-6
+        assert rrs.signed_sigma_min(wrapped._inner.configuration[3:], OPTIMIZED) >= 0.2 - 1e-6
 
     def test_an_action_within_the_margins_passes_to_the_last_bit(self) -> None:
         plain, wrapped = (gym.make("CoopInsertionContact-v0") for _ in range(2))
