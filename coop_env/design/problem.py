@@ -252,5 +252,5 @@ def _survey_cells(
                 a, b = rrs.jacobian_parts(pose, q, p)
                 admitted[i, j] = within and is_manipulable(a, b, p.home_sign, threshold)
                 if whole:
-                    _, _, sigma[i, j], kappa[i, j] = manipulability(a, b, p.home_sign)
+                    _, sigma[i, j], kappa[i, j] = manipulability(a, b, p.home_sign)
     return sigma, kappa, admitted

@@ -139,7 +139,7 @@ def _jacobian(p: Any, x: Any, y: Any, z: Any, matrix: Any, signed: Any, kappa: A
         if reachable:
             a, b = kernels.jacobian_parts(x[n], y[n], z[n], theta, p)
             # Hanging on the axis, the three distal links always make a negative determinant.
-            j, _, signed[n], kappa[n] = manipulability(a, b, -1.0)
+            j, signed[n], kappa[n] = manipulability(a, b, -1.0)
             matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
 
 

@@ -24,6 +24,7 @@ from coop_env.kinematics import rrs_forward_kernels as fk
 from coop_env.kinematics import rrs_kernels as kernels
 from coop_env.kinematics._batch import Bools, Floats, as_points, over_rows, require_broadcast
 from coop_env.kinematics._batch import ShapeError as ShapeError
+from coop_env.kinematics.singularity import manipulability
 
 
 class PlatformPose(NamedTuple):
@@ -204,7 +205,8 @@ def _jacobian(
         at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
         reachable, q = kernels.inverse(at, p)
         if reachable:
-            j, _, signed[n], kappa[n] = kernels.singular_state(at, q, p)
+            a, b = kernels.jacobian_parts(at, q, p)
+            j, signed[n], kappa[n] = manipulability(a, b, p.home_sign)
             matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
 
 

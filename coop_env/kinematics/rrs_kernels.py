@@ -218,20 +218,14 @@ def jacobian_parts(pose: Pose, q: Row, p: RRSParams) -> tuple[Matrix3, Row]:
 
 
 @njit(cache=True)
-def singular_state(pose: Pose, q: Row, p: RRSParams) -> tuple[Matrix3, Row, float, float]:
-    """J, its singular values, the least with its sign relative to home, and kappa."""
-    a, b = jacobian_parts(pose, q, p)
-    return manipulability(a, b, p.home_sign)
-
-
-@njit(cache=True)
 def signed_sigma_min(pose: Pose, q: Row, p: RRSParams) -> float:
     """Least singular value of J, with the sign of det A relative to home.
 
     It is zero at a type II (parallel) singularity. Unsigned, sigma would rise again beyond it, and
     a coarse grid would step across without notice.
     """
-    return singular_state(pose, q, p)[2]
+    a, b = jacobian_parts(pose, q, p)
+    return manipulability(a, b, p.home_sign)[1]
 
 
 @njit(cache=True)

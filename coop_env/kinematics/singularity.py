@@ -76,24 +76,24 @@ def determinant_3x3(rows: Matrix3) -> float:
 
 
 @njit(cache=True)
-def manipulability(a: Matrix3, b: Row, sign: float) -> tuple[Matrix3, Row, float, float]:
-    """J = B^-1 A by rows, its singular values, the least with the sign of ``sign det A``, kappa.
+def manipulability(a: Matrix3, b: Row, sign: float) -> tuple[Matrix3, float, float]:
+    """J = B^-1 A by rows, its least singular value with the sign of ``sign det A``, and kappa.
 
     A is given by rows, B by its diagonal. All but J are NaN at a type I (serial) singularity,
     where J is infinite.
     """
     if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
         inf, nan = (math.inf, math.inf, math.inf), math.nan
-        return (inf, inf, inf), (nan, nan, nan), nan, nan
+        return (inf, inf, inf), nan, nan
     (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = a
     j = (
         (a00 / b[0], a01 / b[0], a02 / b[0]),
         (a10 / b[1], a11 / b[1], a12 / b[1]),
         (a20 / b[2], a21 / b[2], a22 / b[2]),
     )
-    values = singular_values_3x3(j)
-    kappa = values[0] / values[2] if values[2] != 0.0 else math.inf
-    return j, values, math.copysign(values[2], determinant_3x3(a) * sign), kappa
+    most, _, least = singular_values_3x3(j)
+    kappa = most / least if least != 0.0 else math.inf
+    return j, math.copysign(least, determinant_3x3(a) * sign), kappa
 
 
 @njit(cache=True)
