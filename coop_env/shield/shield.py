@@ -191,7 +191,6 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
                 )
             layer = layer.env
         self.shield = KinematicShield(env, margin)
-        self._inner: Any = env.unwrapped
         space = env.action_space
         self._discrete = isinstance(space, spaces.Discrete)
         if isinstance(space, spaces.Discrete) and space.n != N_ACTIONS:
@@ -221,6 +220,10 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         self.interventions += changed
         info = {**info, "shielded": changed, "interventions": self.interventions}
         return observation, reward, terminated, truncated, info
+
+    @property
+    def _inner(self) -> Any:
+        return self.env.unwrapped
 
     def _certify(self, action: Any) -> tuple[Any, bool]:
         wanted = self._inner.increments_of(action) * self.shield.steps
