@@ -94,7 +94,7 @@ def test_both_commands_write_what_they_say(tmp_path: Path, done: Command, refuse
 
 
 def test_causes_are_told_apart() -> None:
-    """A policy that turns on the spot cycles; one that heads for the singularity ends there."""
+    """On the spot, towards the singularity, and around a square of eight configurations."""
     preset = load_preset("smoke")
     cell = next(c for c in expand(preset) if c.method == "rainbow")
 
@@ -104,8 +104,7 @@ def test_causes_are_told_apart() -> None:
 
     plain = dataclasses.replace(preset.tracks["safe"], mask_singularities=False, mask_visited=0)
     preset = dataclasses.replace(preset, tracks={"safe": plain})
-    rows = failures.play(preset, cell, model(4, 5), LatticeOracle())
-    assert {row["cause"] for row in rows} <= {"cycle", "infeasible"}
-    assert any(row["cause"] == "cycle" for row in rows)
-    rows = failures.play(preset, cell, model(6), LatticeOracle())
-    assert {row["cause"] for row in rows} <= {"singular", "cycle", "infeasible"}
+    turns = {"cycle": (4, 5), "singular": (8,), "wandering": (0, 0, 2, 2, 1, 1, 3, 3)}
+    for cause, actions in turns.items():
+        rows = failures.play(preset, cell, model(*actions), LatticeOracle())
+        assert [row["cause"] for row in rows] == 2 * [cause]
