@@ -6,14 +6,14 @@ and overrides what it must, usually only ``timesteps``. ``base`` names the libra
 change; without it, the entry of the same name.
 """
 
-from contextlib import suppress
+import re
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import yaml
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, Field
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
@@ -39,26 +39,13 @@ class _OnceLoader(SAFE_LOADER):  # type: ignore[misc, valid-type]
         return super().construct_mapping(node, deep)
 
 
+# YAML 1.1 reads 1e-4 as text, and a scientist means a number
+_EXPONENT: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
+_OnceLoader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+.0123456789"))
+
 CONTACT: Final = "coop_env:CoopInsertionContact-v0"
 #: what plays public tasks without learning
 SUITE_CONTROLS: Final = {"random": "Random", "held": "One action", "script": "Script"}
-
-
-def _from_text(value: object) -> object:
-    """YAML 1.1 reads 1e-4 as text, and a scientist means a number."""
-    if isinstance(value, str):
-        with suppress(ValueError):
-            return float(value)
-    return value
-
-
-def _numbers(value: Any) -> Any:
-    """As :data:`Number`, of each value in mappings and lists."""
-    if isinstance(value, dict):
-        return {key: _numbers(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_numbers(each) for each in value]
-    return _from_text(value)
 
 
 def _differ(values: list[Any]) -> list[Any]:
@@ -67,11 +54,11 @@ def _differ(values: list[Any]) -> list[Any]:
     return values
 
 
-Number = Annotated[float, BeforeValidator(_from_text), Field(allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0.0)]
 AtLeast0 = Annotated[Number, Field(ge=0.0)]
 Share = Annotated[Number, Field(ge=0.0, le=1.0)]
-Arguments = Annotated[dict[str, Any], AfterValidator(_numbers)]  # of a constructor
+Arguments = dict[str, Any]  # of a constructor
 Count = Annotated[int, Field(gt=0)]
 Names = Annotated[list[str], AfterValidator(_differ)]
 Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(_differ)]
@@ -87,7 +74,6 @@ def _arguments_of(kind: type[Any]) -> AfterValidator:
     """Whether a class of the environment's takes these arguments, or what it says of them."""
 
     def check(given: dict[str, Any] | None) -> dict[str, Any] | None:
-        given = _numbers(given)
         try:
             kind(**(given or {}))
         except TypeError as error:

@@ -12,7 +12,7 @@ from benchmarks.protocol.labels import knowledge
 from benchmarks.protocol.plan import expand, settings
 from benchmarks.protocol.presets import Preset, load, load_preset, preset_names
 from benchmarks.studies.insertion import Insertion
-from tests.benchmarks.smoke import parsed, smoke, smoke_preset
+from tests.benchmarks.smoke import parsed, smoke, smoke_file, smoke_preset
 
 SIZES = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
 SMALL_BASE = {"base_radius": 0.1, "proximal_length": 0.1, "platform_radius": 0.2}
@@ -95,10 +95,12 @@ def test_an_impossible_value_is_refused(change: dict[str, Any], word: str) -> No
         parsed(smoke() | change)
 
 
-def test_a_number_that_yaml_reads_as_text_is_one_among_arguments_too() -> None:
+def test_a_number_that_yaml_reads_as_text_is_one_among_arguments_too(tmp_path: Path) -> None:
     changes = {"methods": {"dqn": {"tau": "5e-3", "policy": "MlpPolicy"}}}
     machine = {"base_position_error": "3e-3"}
-    preset = smoke_preset(**safe(**changes, sim_to_real=machine))
+    path = smoke_file(tmp_path, "mine", **safe(**changes, sim_to_real=machine))
+    assert "tau: 5e-3\n" in path.read_text(encoding="utf-8")
+    preset = load_preset(str(path))
     assert preset.tracks["safe"].sim_to_real == {"base_position_error": 0.003}
     assert preset.tracks["safe"].methods["dqn"] == {"tau": 0.005, "policy": "MlpPolicy"}
 
