@@ -112,14 +112,10 @@ def measured(values: Sequence[float]) -> Value:
     return replace(value, low=low, high=high)
 
 
-def t_interval(mean: float, std: float, n: int) -> tuple[float, float]:
-    """Student's 95 % interval of a mean, from the sample's mean, deviation and size."""
-    if n < 2 or math.isnan(std):
-        return math.nan, math.nan
-    if std == 0.0:  # scipy knows no such distribution
-        return mean, mean
-    low, high = scipy.stats.t.interval(0.95, n - 1, mean, std / math.sqrt(n))
-    return float(low), float(high)
+def t_interval(mean: Any, std: Any, n: int) -> tuple[Any, Any]:
+    """Student's 95 % interval of a mean, or of an array of them, from deviation and size."""
+    half = scipy.stats.t.ppf(0.975, n - 1) * (std / math.sqrt(n)) if n > 1 else math.nan * mean
+    return mean - half, mean + half
 
 
 def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
@@ -135,10 +131,7 @@ def mean_band(curves: ArrayLike) -> tuple[Array, Array, Array]:
     """
     data = np.asarray(curves, dtype=np.float64)
     n, mean = len(data), data.mean(axis=0)
-    half = np.full_like(mean, math.nan)
-    if n > 1:
-        half = scipy.stats.t.ppf(0.975, n - 1) * (data.std(axis=0, ddof=1) / math.sqrt(n))
-    return mean, mean - half, mean + half
+    return mean, *t_interval(mean, data.std(axis=0, ddof=min(1, n - 1)), n)
 
 
 def paired_p(differences: ArrayLike) -> float:

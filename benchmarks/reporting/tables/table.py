@@ -1,13 +1,13 @@
 """A table as CSV (numbers apart), Markdown and LaTeX (booktabs)."""
 
-import csv
-import io
 import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+
+import pandas as pd
 
 from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import write_text
@@ -137,9 +137,8 @@ class Table:
             if any(isinstance(cell, Number) for cell in cells):
                 parts = [(part, [_part(cell, part) for cell in cells]) for part in _PARTS]
                 columns += [[f"{texts[0]} | {part}", *numbers] for part, numbers in parts]
-        stream = io.StringIO()
-        csv.writer(stream, lineterminator="\n").writerows(zip(*columns, strict=True))
-        return stream.getvalue()
+        lines = pd.DataFrame(zip(*columns, strict=True))
+        return lines.to_csv(index=False, header=False, lineterminator="\n")
 
     def files(self, folder: Path) -> dict[Path, str]:
         """Its three files in a folder, and what is in them."""
