@@ -32,10 +32,6 @@ OnProgress = Callable[[float], None]  # hears which share is done
 Player = Callable[[Sequence[Episode], "Condition", OnProgress], None]
 
 
-def no_progress(share: float) -> None:
-    """Report nothing."""
-
-
 @dataclass(frozen=True)
 class Condition:
     """One of the conditions under which a cell's test episodes are played."""
@@ -59,11 +55,10 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
     tests, track = preset.evaluation, preset.tracks[cell.track] if cell.track else None
     arguments = env_arguments(preset, cell, track)
     if track is not None and track.sim_to_real is not None:
-        own = own_error(track.sim_to_real)
-        machines = {error: displaced(track.sim_to_real, error) for error in tests.errors}
+        machine, own = track.sim_to_real, own_error(track.sim_to_real)
         result = [
-            Condition({**arguments, "sim_to_real": machine}, 0.0, {"error": error})
-            for error, machine in machines.items()
+            Condition(arguments | {"sim_to_real": displaced(machine, error)}, 0.0, {"error": error})
+            for error in tests.errors
         ]
         main = next(each for each in result if each.columns["error"] == own)
     else:
@@ -79,7 +74,7 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
 def evaluate_cell(
     preset: Preset,
     cell: Cell,
-    progress: OnProgress = no_progress,
+    progress: OnProgress = lambda share: None,
     starts: int | None = None,
     model: Any = None,
 ) -> Rows:
@@ -97,7 +92,7 @@ def evaluate_cell(
 
 def play(
     player: Player, preset: Preset, seed: int, conditions: Sequence[Condition],
-    progress: OnProgress = no_progress, starts: int | None = None,
+    progress: OnProgress = lambda share: None, starts: int | None = None,
 ) -> Rows:  # fmt: skip
     """Rows of a seed's test episodes, played under each condition."""
     rows: Rows = []
@@ -189,7 +184,7 @@ def play_together(
     episodes: Sequence[Episode],
     noise: float,
     noise_seed: int,
-    progress: OnProgress = no_progress,
+    progress: OnProgress = lambda share: None,
 ) -> None:
     """Play all episodes side by side until each is over: a network is asked once per move.
 
@@ -240,9 +235,7 @@ def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:
     oracle = LatticeOracle(node_limit=limits.node_limit, real=uncertain, at_once=at_once)
     if cell.method == "optimum" or at_once:
         return lambda episode: follow(episode, oracle.plan)
-    rrt = rrt_connect.RRTConnect(
-        limits.time_limit, limits.max_iterations, 1 + derive("planner", cell.seed) % 2**30
-    )
+    rrt = rrt_connect.RRTConnect(limits, 1 + derive("planner", cell.seed) % 2**30)
     if cell.method == "rrt_lattice":
         return lambda episode: rrt_connect.execute(episode, rrt.plan, finish=oracle.plan)
     return lambda episode: rrt_connect.execute(episode, rrt.plan, again=uncertain)

@@ -19,6 +19,7 @@ from ompl import util as ou
 
 from benchmarks.methods.base import Plan, workspace
 from benchmarks.methods.episodes import Episode
+from benchmarks.protocol.presets import PlannerSettings
 from coop_env.env import CoopInsertionEnv
 from coop_env.kinematics.rrs_kernels import platform_pose
 from coop_env.simulation import collision
@@ -38,17 +39,14 @@ class RRTConnect:
     """Plans to an insertion in the current target with OMPL's RRT-Connect.
 
     Args:
-        time_limit: seconds for each of the two planning calls (the paper: 5 s).
-        max_iterations: termination checks for each call. This limit binds before the clock does, so
-            that results do not depend on the machine's load.
+        limits: of each of the two planning calls. Iterations are termination checks: they run out
+            before the time does, so that results do not depend on the machine's load.
         seed: of OMPL's global generator, 1 or above. OMPL takes it once per process, before the
             first sampler is made: plans repeat from process to process, not within one.
     """
 
-    def __init__(
-        self, time_limit: float = 5.0, max_iterations: int = 20_000, seed: int = 1
-    ) -> None:
-        self.time_limit, self.max_iterations = time_limit, max_iterations
+    def __init__(self, limits: PlannerSettings, seed: int = 1) -> None:
+        self.limits = limits
         ou.setLogLevel(ou.LOG_NONE)
         ou.RNG.setSeed(seed)
 
@@ -90,10 +88,10 @@ class RRTConnect:
         planner = og.RRTConnect(setup.getSpaceInformation())
         planner.setRange(4.0)
         setup.setPlanner(planner)
-        checks, deadline = itertools.count(1), time.perf_counter() + self.time_limit
+        checks, deadline = itertools.count(1), time.perf_counter() + self.limits.time_limit
 
         def out_of_budget() -> bool:
-            return next(checks) > self.max_iterations or time.perf_counter() > deadline
+            return next(checks) > self.limits.max_iterations or time.perf_counter() > deadline
 
         setup.setup()
         setup.solve(ob.PlannerTerminationCondition(out_of_budget))

@@ -73,8 +73,7 @@ def planner(env: CoopInsertionEnv) -> Act:
     """RRT-Connect in an environment."""
     from benchmarks.methods.rrt_connect import RRTConnect
 
-    limits = load_preset("cut").planner
-    return by_plans(env, RRTConnect(limits.time_limit, limits.max_iterations).plan)
+    return by_plans(env, RRTConnect(load_preset("cut").planner).plan)
 
 
 NOMINAL: Final[tuple[dict[str, Any], Play]] = ({"geometry": "optimized"}, optimum)

@@ -86,10 +86,9 @@ def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, d
     if not track:
         from benchmarks.methods.rrt_connect import RRTConnect, execute  # needs OMPL
 
-        number = 1 + derive("planner", seed) % 2**30
         planner: Any = LatticeOracle(limits.node_limit)
         if method == "rrt":
-            planner = RRTConnect(limits.time_limit, limits.max_iterations, number)
+            planner = RRTConnect(limits, 1 + derive("planner", seed) % 2**30)
         return lambda episode: execute(episode, planner.plan), {"reward": "progress"}
     cell = Cell(method, "full", "optimized", track, seed)
     arguments = env_arguments(preset, cell, preset.tracks[track])

@@ -152,7 +152,7 @@ def glance(preset: Preset, given: Given) -> Iterator[str]:
     preset = dataclasses.replace(preset, evaluation=tests)
     for config, run in prepare(preset, given):
         name = f"{given.name}, seed {config['cell']['seed']}"
-        yield from in_words(pd.DataFrame(run(evaluate.no_progress)), name)
+        yield from in_words(pd.DataFrame(run(lambda share: None)), name)
 
 
 def _check(preset: Preset, given: Given) -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.evaluation.evaluate import Condition, Rows, begin_episodes, by_policy, no_progress
+from benchmarks.evaluation.evaluate import Condition, Rows, begin_episodes, by_policy
 from benchmarks.methods.base import Policy
 from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame
 from benchmarks.methods.oracle import LatticeOracle
@@ -101,7 +101,7 @@ def test_initial_states_depend_on_seed_and_episode_alone() -> None:
 
 
 def run_policy(policy: Policy, episodes: list[Episode], noise: float) -> Rows:
-    by_policy(policy, 7)(episodes, Condition({}, noise), no_progress)
+    by_policy(policy, 7)(episodes, Condition({}, noise), lambda share: None)
     return [episode.row(noise) for episode in episodes]
 
 

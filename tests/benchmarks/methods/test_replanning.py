@@ -15,6 +15,7 @@ from benchmarks.methods.lattice_search import make_lattice
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.replanning import Replanner, solutions
 from benchmarks.methods.rrt_connect import RRTConnect, execute
+from benchmarks.protocol.presets import PlannerSettings
 from coop_env import CoopInsertionEnv, SimToReal
 
 STARTS = 12
@@ -96,7 +97,7 @@ def test_rings_are_searched_from_the_inside() -> None:
 
 def test_rrt_connect_plans_again_where_a_plan_did_not_insert() -> None:
     """Beside who does not, with the same first plans: OMPL's draws follow those before."""
-    rrt, first = RRTConnect(time_limit=100.0), dict[int, Plan]()
+    rrt, first = RRTConnect(PlannerSettings(time_limit=100.0)), dict[int, Plan]()
 
     def play_one(episode: Episode, again: bool) -> None:
         def plan(env: CoopInsertionEnv) -> Plan:

@@ -14,6 +14,7 @@ from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.rrt_connect import RRTConnect, alignment_pose, displacement, round_path
+from benchmarks.protocol.presets import PlannerSettings
 from benchmarks.protocol.seeding import episode_seeds
 from coop_env.env import CoopInsertionEnv
 from coop_env.simulation.insertion_task import PAPER_TASK
@@ -27,7 +28,8 @@ WALK = st.lists(st.tuples(*[st.floats(-3.0, 3.0) for _ in range(6)]), min_size=1
 
 @pytest.fixture(scope="module")
 def planner() -> RRTConnect:
-    return RRTConnect(time_limit=100.0)  # so that the iterations alone end a search
+    # so that the iterations alone end a search
+    return RRTConnect(PlannerSettings(time_limit=100.0))
 
 
 def begin(number: int, geometry: str = "optimized") -> Episode:
@@ -122,7 +124,7 @@ def test_a_limit_ends_a_search(limits: tuple[float, int], monkeypatch: pytest.Mo
         return 0 if min(lag) < 0.2 else 1
 
     monkeypatch.setattr(env, "configuration_status", islands)
-    plan = RRTConnect(*limits).plan(env)
+    plan = RRTConnect(PlannerSettings(*limits)).plan(env)
     assert plan.moves is None
     assert plan.status == "no plan (3-RRS)"
 
@@ -152,9 +154,10 @@ def test_a_plan_into_a_singularity_ends_there(planner: RRTConnect) -> None:
 def test_a_seed_repeats_its_plans_from_process_to_process() -> None:
     code = (
         "from benchmarks.methods.rrt_connect import RRTConnect;"
+        "from benchmarks.protocol.presets import PlannerSettings;"
         "from coop_env.env import CoopInsertionEnv;"
         "env = CoopInsertionEnv(); env.reset(seed=5);"
-        "print(RRTConnect(seed={}).plan(env).moves.tolist())"
+        "print(RRTConnect(PlannerSettings(), {}).plan(env).moves.tolist())"
     )
     runs = [python("-c", code.format(seed)).stdout for seed in (7, 7, 8)]
     assert runs[0] == runs[1]
