@@ -34,14 +34,6 @@ CHECKED_BUFFER = 10_000
 # constructor arguments that no preset gives
 OURS: Final = ("policy", "env", "seed", "device", "_init_setup_model")
 LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
-# hyperparameters that off-policy learners know by the same names, and what Rainbow adds
-OFF_POLICY: Final = (
-    *("buffer_size", "learning_starts", "batch_size", "tau", "gamma"),
-    *("gradient_steps", "max_grad_norm"),
-)
-RAINBOW: Final = (
-    *("n_steps", "n_atoms", "v_min", "v_max", "sigma0", "alpha", "beta_start", "beta_end"),
-)
 #: Rainbow's defaults when the suites' settings were chosen, which leave some of them unsaid
 FORMER_DEFAULTS: Final = {
     "learning_rate": 1e-4,
@@ -116,19 +108,19 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
 
 def _of_track(track: Track, algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
     """What an algorithm's constructor takes of a track's hyperparameters."""
-    h = track.hyperparameters
+    h, accepted = track.hyperparameters, _accepted(algorithm)
     rates = (h.learning_rate, h.learning_rate_end)
     network: dict[str, Any] = {"net_arch": list(h.net_arch)}
     if issubclass(algorithm, OffPolicyAlgorithm):
         network["optimizer_kwargs"] = {"weight_decay": h.weight_decay}
-        names = (*OFF_POLICY, *RAINBOW) if issubclass(algorithm, Rainbow) else OFF_POLICY
-        given = {name: getattr(h, name) for name in names} | {
+        given = {name: getattr(h, name) for name in accepted if hasattr(h, name)} | {
             "train_freq": 1,
             "exploration_initial_eps": h.epsilon_start,
             "exploration_final_eps": h.epsilon_end,
             "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
         }
         if not issubclass(algorithm, Rainbow):
+            given.pop("n_steps", None)  # the returns of the others are of one step
             # SB3 moves the target once per round of collection, not once per update
             given["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
             given["target_update_interval"] = h.n_envs
@@ -136,7 +128,6 @@ def _of_track(track: Track, algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
         given = {"gamma": h.gamma, **asdict(track.ppo)}
         rates = (given["learning_rate"], given["learning_rate_end"])
     given |= {"learning_rate": LinearSchedule(*rates, 1.0), "policy_kwargs": network}
-    accepted = _accepted(algorithm)
     return {name: value for name, value in given.items() if name in accepted}
 
 
