@@ -11,6 +11,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple, Self, cast
 
+import numpy as np
 import pandas as pd
 
 from benchmarks.protocol import labels
@@ -18,7 +19,7 @@ from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXPLORING, GREEDY, HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import CONTROLS, DESIGN, METHODS, OPTIMUM_AT_ONCE, expand, own_error
 from benchmarks.protocol.presets import Preset, load, preset_names
-from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
+from benchmarks.reporting.stats import Value, bootstrap, measured, over_seeds, wilson
 from benchmarks.reporting.tables.table import MISSING, Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
 
@@ -196,7 +197,7 @@ class Group:
             return value
         (episodes,) = (x for x in map(metric.values, tests) if len(x))
         proportion = (int(episodes.sum()), len(episodes))
-        low, high = wilson(*proportion) if metric.proportion else mean_interval(episodes)
+        low, high = wilson(*proportion) if metric.proportion else bootstrap([episodes], np.mean)
         return replace(value, low=metric.scale * low, high=metric.scale * high)
 
     def success(self) -> Value:

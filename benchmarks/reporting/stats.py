@@ -99,12 +99,6 @@ def bootstrap(
     return float(low), float(high)
 
 
-def mean_interval(values: ArrayLike) -> tuple[float, float]:
-    """95 % bootstrap interval of the mean of a sample; NaNs are left out, NaN below two values."""
-    data = np.asarray(values, dtype=np.float64)
-    return bootstrap([data[~np.isnan(data)]], np.mean)
-
-
 def measured(values: Sequence[float]) -> Value:
     """One number per seed as their mean with Student's 95 % interval, NaN of one seed."""
     value = over_seeds(values)

@@ -3,11 +3,13 @@
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rliable import metrics as rliable_metrics
 
+from benchmarks.protocol.metrics import METRICS
 from benchmarks.reporting import stats
 
 SAMPLES = st.lists(st.floats(-100, 100), min_size=3, max_size=30)
@@ -83,11 +85,11 @@ def test_the_probability_of_improvement_is_rliables() -> None:
 
 def test_the_bootstrap_interval_of_a_mean_leaves_out_what_is_missing() -> None:
     data = np.random.default_rng(8).normal(size=200)
-    low, high = stats.mean_interval(np.append(data, math.nan))
+    rows = pd.DataFrame({"time_first": np.append(data, math.nan)})
+    low, high = stats.bootstrap([METRICS["time_first"].values(rows)], np.mean)
     half = 1.96 * data.std(ddof=1) / math.sqrt(200)
     assert (low, high) == pytest.approx((data.mean() - half, data.mean() + half), abs=0.03)
-    assert stats.mean_interval([2.0, 2.0, 2.0]) == (2.0, 2.0)
-    assert all(math.isnan(end) for end in stats.mean_interval([1.0, math.nan]))
+    assert stats.bootstrap([np.full(3, 2.0)], np.mean) == (2.0, 2.0)
 
 
 @given(SAMPLES, st.integers(1, 12), st.integers(0, 99), st.sampled_from([1, 4]))
