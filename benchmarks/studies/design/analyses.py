@@ -1,5 +1,6 @@
 """The computations of the design study: each returns rows of plain numbers; and its files."""
 
+import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
@@ -11,7 +12,7 @@ import numpy as np
 from benchmarks.methods.geometric_design import Row
 from benchmarks.runs.store import RunFolder, write_atomic
 from coop_env import design
-from coop_env.design import DesignProblem, Optimum
+from coop_env.design import DesignProblem
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import angle_between, roll_pitch
@@ -25,6 +26,7 @@ BANDS: Final = {
 ROBUST: Final = "0.20-0.25"
 STEP: Final = 0.02  # of lambda, in the atlas
 MAP_HEAVES: Final = (0.21, 0.22, 0.23, 0.24, 0.25)
+_told: Final = attrgetter("geometry", "evaluations")  # of an optimum
 Designs = Mapping[str, RRSGeometry]
 
 
@@ -63,10 +65,6 @@ def optima(
         result[f"band {name}"] = _told(best)
         progress(0.4 + 0.2 * (k + 1))
     return result
-
-
-def _told(best: Optimum) -> tuple[RRSGeometry, int]:
-    return best.geometry, best.evaluations
 
 
 def optimum_rows(result: dict[str, tuple[RRSGeometry, int]]) -> list[Row]:
@@ -228,12 +226,9 @@ class DesignStore(RunFolder):
 
     def write_maps(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Write ``maps.npz``."""
-
-        def write(temporary: Path) -> None:
-            with temporary.open("wb") as stream:
-                np.savez_compressed(stream, allow_pickle=False, **arrays)
-
-        write_atomic(self.path / "maps.npz", write)
+        stored = io.BytesIO()
+        np.savez_compressed(stored, allow_pickle=False, **arrays)
+        write_atomic(self.path / "maps.npz", lambda path: path.write_bytes(stored.getvalue()))
 
     def maps(self) -> dict[str, np.ndarray]:
         """Read ``maps.npz``."""
