@@ -67,14 +67,12 @@ def evaluate(
         masks: Any = None
         if masked:
             masks = np.stack([playing[i].get_wrapper_attr("action_masks")() for i in active])
-        still = []
-        for i, action in zip(active, act(batch, masks), strict=True):
+        for i, action in zip(active.copy(), act(batch, masks), strict=True):
             observations[i], reward, terminated, truncated, _ = playing[i].step(action)
             returns[i] += float(reward)
             lengths[i] += 1
-            if not (terminated or truncated):
-                still.append(i)
-        active = still
+            if terminated or truncated:
+                active.remove(i)
     for env in playing:
         env.close()
     return list(zip(returns, lengths, strict=True))
