@@ -119,7 +119,8 @@ class RainbowPolicy(AsVector, BasePolicy):
         self.q_net_target.set_training_mode(False)
         kwargs = dict(self.optimizer_kwargs)
         if self.optimizer_class in _WITH_FUSED_KERNEL and not kwargs.keys() & _NOT_WITH_FUSED:
-            kwargs.setdefault("fused", True)
+            # torch refuses it for complex parameters
+            kwargs.setdefault("fused", all(map(th.is_floating_point, self.q_net.parameters())))
         self.optimizer = self.optimizer_class(
             self.q_net.parameters(),
             lr=lr_schedule(1),  # type: ignore[call-arg]

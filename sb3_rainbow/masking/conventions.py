@@ -60,6 +60,22 @@ class TerminalActionMask(gym.Wrapper):
         return self.env.set_wrapper_attr(name, value, force=force)
 
 
+def has_masks(env: VecEnv) -> bool:
+    """Whether an env gives masks, as far as it can be asked.
+
+    A user's own ``VecEnv`` may know the attributes alone that SB3 asks for: of others it says None,
+    or raises.
+    """
+    try:
+        supported: bool = is_masking_supported(env)
+        # a SubprocVecEnv, which knows them all, would send its envs along with their method
+        if supported and type(env.unwrapped).has_attr is VecEnv.has_attr:
+            return all(method is not None for method in env.get_attr("action_masks"))
+        return supported
+    except Exception:
+        return False
+
+
 def capture_terminal_masks(env: VecEnv) -> None:
     """Wrap the envs of a ``DummyVecEnv`` in :class:`TerminalActionMask` where they have masks."""
     inner = env.unwrapped

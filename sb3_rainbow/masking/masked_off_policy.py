@@ -76,7 +76,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
             self._store_transition(buffer, *(step[name] for name in names))
             self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
             self._on_step()
-            self._episode_num += int(step["dones"].sum())
+            self._episode_num += int(np.sum(step["dones"]))
         return rollout
 
     def _current_masks(self) -> NDArray[np.bool_]:
@@ -97,8 +97,9 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         return actions, actions
 
     def _random_actions(self, n: int, masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-        rows: Any = [None] * n if masks is None else masks.astype(np.int8)
-        return np.array([self.action_space.sample(mask) for mask in rows])
+        if masks is None:  # as SB3: a user's own space may take no mask
+            return np.array([self.action_space.sample() for _ in range(n)])
+        return np.array([self.action_space.sample(mask) for mask in masks.astype(np.int8)])
 
     def _epsilon_greedy(
         self, actions: NDArray, epsilon: float, action_masks: NDArray | None
@@ -138,7 +139,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
             original_obs = normalizer.get_original_obs()
             stored_reward = normalizer.get_original_reward()
         next_obs = original_obs
-        if dones.any():
+        if np.any(dones):
             next_obs = conventions.with_terminal_observations(
                 original_obs, dones, infos, normalizer
             )
@@ -158,5 +159,6 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
 
 def masks_apply(model: object, env: VecEnv) -> bool:
     """Whether a model is to act under the masks of an environment."""
-    masked = isinstance(model, MaskedOffPolicyAlgorithm) and model.use_masking is not False
-    return masked and is_masking_supported(env)
+    if not isinstance(model, MaskedOffPolicyAlgorithm) or not model.use_masking:
+        return False
+    return is_masking_supported(env) if model.use_masking is True else conventions.has_masks(env)

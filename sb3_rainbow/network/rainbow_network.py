@@ -133,10 +133,6 @@ class RainbowNetwork(AsVector, BasePolicy):
         self.v_max = v_max
         # A constant, not a weight: what loads or randomizes the weights must not change it.
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
-        if gains_by_channels_last(features_extractor):
-            for weight in features_extractor.parameters():
-                if weight.ndim == 4:
-                    weight.data = weight.data.contiguous(memory_format=th.channels_last)
         self._build_layers()
         self.reset_noise()
 

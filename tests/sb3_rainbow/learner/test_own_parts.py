@@ -204,6 +204,24 @@ def test_an_extractor_may_find_its_sizes_out(kernels: bool) -> None:
     assert not th.equal(before, weights(layer))
 
 
+class Spectrum(nn.Linear):
+    """Its weights are complex, for which torch has no fused Adam."""
+
+    def __init__(self) -> None:
+        super().__init__(4, 8, dtype=th.cfloat)
+
+    def forward(self, x: th.Tensor) -> th.Tensor:
+        return super().forward(x.to(th.cfloat)).abs()
+
+
+def test_an_extractor_may_have_complex_weights() -> None:
+    model = make(policy_kwargs=extracting(Spectrum, 8))
+    (layer,) = (m for m in model.q_net.modules() if isinstance(m, Spectrum))
+    before = layer.weight.detach().clone()
+    model.learn(60)
+    assert not th.equal(before, layer.weight)
+
+
 def test_a_foreign_sample_has_a_weight_and_a_discount_for_each_transition() -> None:
     n = 5
     column = th.linspace(0.1, 1.0, n)[:, None]

@@ -260,6 +260,39 @@ def test_use_masking() -> None:
         small_model(ClockEnv(), use_masking=unclear)
 
 
+class Draws(spaces.Discrete):
+    def sample(self) -> np.int64:  # type: ignore[override] # a user's own, which takes no mask
+        return np.int64(1)
+
+
+class Simulator(DummyVecEnv):
+    """Answers what SB3 asks of a ``VecEnv``, and no more."""
+
+    def __init__(self, unknown: type[Exception] | None) -> None:
+        self.unknown = unknown
+        super().__init__([lambda: gym.make("CartPole-v1")] * 2)
+        self.action_space = Draws(2)
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        if self.unknown and attr_name != "render_mode":
+            raise self.unknown
+        return [None] * self.num_envs
+
+    def step_wait(self) -> Any:
+        observations, rewards, dones, infos = super().step_wait()
+        return observations, rewards, dones.tolist(), infos
+
+
+@pytest.mark.parametrize("unknown", [None, NotImplementedError])
+def test_a_vec_env_of_ones_own_that_serves_dqn_serves_rainbow(
+    unknown: type[Exception] | None,
+) -> None:
+    small_model(Simulator(unknown)).learn(60)
+    if unknown:
+        with pytest.raises(unknown):
+            small_model(Simulator(unknown), use_masking=True).learn(60)
+
+
 def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
     model = small_model(DummyVecEnv([ClockEnv])).learn(60)
     model.save(tmp_path / "m")
