@@ -9,7 +9,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from numpy.typing import NDArray
 from stable_baselines3.common.policies import BaseModel, BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
@@ -26,12 +25,7 @@ _LAYERS = ("layers", "value_layers", "advantage_layers")
 
 
 class AsVector(BaseModel):
-    """A model of SB3's whose weights may have any memory format, and be parts of one vector."""
-
-    def parameters_to_vector(self) -> NDArray[np.float32]:
-        """All parameters, one after another."""
-        flat = [p.detach().reshape(-1) for p in self.parameters()]
-        return th.cat(flat).cpu().numpy()
+    """A model of SB3's whose weights may be parts of one vector."""
 
     @th.no_grad()
     def separate(self) -> None:
