@@ -54,7 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(f"error: {error.strerror}: {where}; {mend}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        # numba makes the latter of a Ctrl-C that meets it in a kernel
+        if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
         print("Interrupted; the same command goes on from what is stored", file=sys.stderr)
         return 130
 
@@ -67,7 +70,7 @@ def _open(given: Given, create: bool = False) -> tuple[Experiment, Store]:
 def run(given: Given) -> int:
     """Everything: what is missing is run, then tables and figures are written."""
     device = _device(given, given.gpus_per_run)
-    console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
+    console, (one, store) = Console(soft_wrap=True, markup=False), _open(given, create=True)
     with store.lock(), closing(_backend(given)) as backend:
         console.print(f"{backend.describe()}, networks on {device}", markup=False)
         outcome = Harness(one, store, backend, console, device).run()
@@ -101,7 +104,7 @@ def _backend(given: Given) -> Backend:
 def plan(given: Given) -> None:
     """The cells of a preset, whether they are complete, and what they cost."""
     one = catalogue.experiment(given.preset)
-    print_plan(one, given.results, Backend(given.jobs).slots, Console(soft_wrap=True))
+    print_plan(one, given.results, Backend(given.jobs).slots, Console(soft_wrap=True, markup=False))
 
 
 def train(given: Given) -> int:
@@ -113,7 +116,7 @@ def train(given: Given) -> int:
         check_settings(one, store, [cell])
         check_disk(one, store, [cell], 1)
         one.check([cell])
-    with shown(store.run(cell.id), Console(soft_wrap=True)):
+    with shown(store.run(cell.id), Console(soft_wrap=True, markup=False)):
         return run_here(one, store, cell.id, given.parent, given.wait, device)
 
 
@@ -126,7 +129,7 @@ def cell(given: Given) -> int:
 
 def evaluate(given: Given) -> int:
     """Score a model or planner of one's own for the leaderboard, or stored policies again."""
-    console = Console(soft_wrap=True)
+    console = Console(soft_wrap=True, markup=False)
     if given.model or given.planner:
         from benchmarks.studies.scoring.entries import glance, score
 
@@ -169,7 +172,7 @@ def _of_stored(method: str) -> Callable[[Given], None]:
     def command(given: Given) -> None:
         one, store = _open(given)
         with store.lock():
-            _write(one, method, store, Console(soft_wrap=True))
+            _write(one, method, store, Console(soft_wrap=True, markup=False))
 
     return command
 

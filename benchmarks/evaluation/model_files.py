@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import sb3_contrib
-import stable_baselines3
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from benchmarks.errors import BenchmarkError, known
-from benchmarks.methods.learners import build_small, class_of
-from benchmarks.protocol.learners import LEARNERS
+from benchmarks.errors import BenchmarkError, known, resolve
+from benchmarks.methods.learners import build_small
+from benchmarks.protocol.learners import LEARNERS, algorithm_of
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, read_yaml
 from benchmarks.protocol.strict import build
@@ -37,14 +35,14 @@ _POLICIES: Final = {
 }
 
 
-def algorithms() -> dict[str, Any]:
-    """Names of the algorithms whose models can be scored: what acts on one observation."""
+def algorithms() -> dict[str, str]:
+    """Where the algorithms are whose models can be scored, by name: they act on one observation."""
     return {
-        **{name: class_of(name) for name, learner in LEARNERS.items() if learner.discrete},
-        "a2c": stable_baselines3.A2C,
-        "ars": sb3_contrib.ARS,
-        "ppo": stable_baselines3.PPO,
-        "trpo": sb3_contrib.TRPO,
+        **{name: learner.where for name, learner in LEARNERS.items() if learner.discrete},
+        "a2c": "stable_baselines3:A2C",
+        "ars": "sb3_contrib:ARS",
+        "ppo": "stable_baselines3:PPO",
+        "trpo": "sb3_contrib:TRPO",
     }
 
 
@@ -52,6 +50,8 @@ def detect_algorithm(path: Path) -> str:
     """The algorithm whose ``save`` wrote the file; BenchmarkError if that cannot be told."""
     if is_model_file(path):
         return "rainbow"
+    if _is_of_run(path):
+        return algorithm_of(str(read_yaml(path.with_name("config.yaml"))["cell"]["method"]))
     try:
         data = _plain_settings(path)
         module = str(data["policy_class"]["__module__"])
@@ -75,6 +75,11 @@ def detect_algorithm(path: Path) -> str:
             f"with --algorithm: {known(algorithms())}"
         )
     return policies[0]
+
+
+def _is_of_run(path: Path) -> bool:
+    """Whether a file is a run's policy, of which the config.yaml beside it tells all."""
+    return path.name == "policy.zip" and path.with_name("config.yaml").is_file()
 
 
 def _plain_settings(path: Path) -> dict[str, Any]:
@@ -146,9 +151,12 @@ def load_model(path: Path, algorithm: str | None = None, trust: bool = False) ->
         raise BenchmarkError(f"unknown algorithm '{algorithm}'; known: {known(choices)}")
     if not path.is_file():
         raise BenchmarkError(f"{path} is missing; give a .zip that model.save() wrote")
-    name = detect_algorithm(path) if algorithm is None else algorithm
-    if path.name == "policy.zip" and path.with_name("config.yaml").is_file():
-        return load_stored(path)
+    if _is_of_run(path):
+        model = load_stored(path)
+        if (own := detect_algorithm(path)) != (algorithm or own):
+            raise BenchmarkError(f"{path} is of a run of '{own}', not '{algorithm}'")
+        return model
+    name = algorithm or detect_algorithm(path)
     if is_model_file(path):
         try:
             from sb3_rainbow.zoo.model_file import read_model
@@ -163,8 +171,9 @@ def load_model(path: Path, algorithm: str | None = None, trust: bool = False) ->
             f"{path}: a model that SB3 saved runs its author's code when it is loaded; add --trust "
             "if you made it, or trust who did"
         )
+    kind = resolve(choices[name], f"algorithm '{name}':")
     try:
-        return choices[name].load(path, device="cpu")
+        return kind.load(path, device="cpu")
     except Exception as error:  # whatever a class makes of another's file
         raise BenchmarkError(f"{path} is no model of '{name}': {error}") from error
 

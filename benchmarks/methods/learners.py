@@ -2,7 +2,6 @@
 
 import copy
 import inspect
-import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any, Final
@@ -15,7 +14,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from benchmarks.errors import BenchmarkError, known
+from benchmarks.errors import BenchmarkError, known, resolve
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.guided import Guided, guided
 from benchmarks.methods.team.networks import DecentralizedVecEnv, IndependentPolicy, SumPolicy
@@ -75,7 +74,8 @@ def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
 
 def class_of(method: str) -> type[BaseAlgorithm]:
     """The algorithm of a method."""
-    result: type[BaseAlgorithm] = pkgutil.resolve_name(LEARNERS[algorithm_of(method)].where)
+    name = algorithm_of(method)
+    result: type[BaseAlgorithm] = resolve(LEARNERS[name].where, f"learner '{name}':")
     return result
 
 

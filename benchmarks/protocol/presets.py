@@ -350,6 +350,11 @@ def load(name: str) -> Preset | SuitePreset:
     """A preset by name, or by the path of a ``.yaml`` file; BenchmarkError if it will not do."""
     own = own_file(name)
     path = own or PRESETS / f"{name}.yaml"
+    if own and own.stem in preset_names() and own.resolve().parent != PRESETS.resolve():
+        raise BenchmarkError(
+            f"preset '{name}': the package has a preset '{own.stem}', whose results it would join: "
+            "rename the file"
+        )
     if own and not own.is_file():
         raise BenchmarkError(f"preset '{name}': there is no such file")
     if not path.is_file() or (path.parent == PRESETS and path.stem not in preset_names()):

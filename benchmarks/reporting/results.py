@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Final, NamedTuple, Self, cast
 import numpy as np
 import pandas as pd
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXPLORING, GREEDY, HOLES, SUCCESS, Metric
@@ -24,6 +25,8 @@ from benchmarks.reporting.tables.table import MISSING, Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
 
 SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
+DRAWN: Final = ("episode_reward", "holes", "success", "duration", "loss", "mean_max_q")
+TEXTS: Final = ("start", "failure", "acting", "insertion_moves", "masks")  # columns of episodes
 SEEDS: Final = 3  # of a finding; fewer are a lead
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
 
@@ -46,7 +49,7 @@ class Result:
 
     need: ClassVar[dict[str, tuple[str, ...]]] = {
         "episodes": ("episode", "reset_seed", "start", "noise", "success"),
-        "curve": ("timesteps", "episodes"),
+        "curve": ("timesteps", "episodes", *DRAWN),
     }
     config: dict[str, Any]
     folder: RunFolder
@@ -103,6 +106,15 @@ def _read(kind: type[Result], path: Path, versions: tuple[object, ...]) -> Resul
     folder = RunFolder(path)
     folder.meta()
     rows = folder.rows("episodes", *kind.need["episodes"])
+    numbers = rows[[name for name in rows if name not in TEXTS]]
+    odd = [*numbers.select_dtypes(exclude="number")]
+    if "success" in rows and not rows["success"].isin((0, 1)).all():
+        odd.append("success")
+    if odd:
+        raise BenchmarkError(
+            f"{path / 'episodes.csv'} has values in column '{odd[0]}' that are no results; delete "
+            f"{path} and run the preset again"
+        )
     if "masks" in rows:  # older runs were also played under other masks than their own
         rows = rows[rows["masks"].fillna("own") == "own"].drop(columns="masks")
     return kind(folder.config(), folder, rows)

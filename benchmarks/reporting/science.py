@@ -4,7 +4,7 @@ from typing import Final
 
 from benchmarks.protocol.paper_values import PERFORMANCE
 from benchmarks.reporting.blocks import provenance
-from benchmarks.reporting.results import Group, Results
+from benchmarks.reporting.results import AS_TRAINED, Group, Results
 from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.tables.table import MISSING, Number, Table, TableCell
 from benchmarks.reporting.verdicts import sentences
@@ -53,7 +53,8 @@ def six(results: Results) -> Table:
         [name, paper, Number(row.success(), suffix=row.lead) if row and row.n else MISSING]
         for name, paper, row in methods
     ]
-    title = "Success rate (%) on the test episodes, learners as trained"
+    trained = ", learners as trained" * (ours.level == AS_TRAINED)
+    title = f"Success rate (%) on the test episodes{trained}"
     return Table("six", title, ["Method", "Paper", "Ours"], made)
 
 

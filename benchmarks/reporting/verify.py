@@ -64,10 +64,16 @@ def _check_run(run: RunFolder, starts: dict[tuple[object, ...], str]) -> list[st
     result = Result.read(run)
     if cell.learns and "entry" not in config:  # whatever name it goes by
         _ = result.curve  # an error if it is missing
-    problems = _check_episodes(result, cell, starts)
+    problems = [*check_meta(run), *_check_episodes(result, cell, starts)]
     if run.policy.is_file() and run.policy_digest() != meta["training"].get("policy_sha256"):
         problems.append("policy.zip is not the policy whose digest its meta.json has")
     return problems
+
+
+def check_meta(run: RunFolder) -> list[str]:
+    """Whether meta.json has what pages and `plan` tell of a run."""
+    _ = run.seconds(), run.seconds("cpu")  # an error if one is missing
+    return [f"meta.json lacks '{k}'" for k in ("commit", "dirty", "machine") if k not in run.meta()]
 
 
 def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...], str]) -> list[str]:

@@ -133,7 +133,7 @@ class Experiment(ABC, Generic[P]):
         for table in tables:
             table.write(store.tables)
             if table.name in self.printed and table.rows:
-                console.print(table.markdown(), markup=False, highlight=False)
+                console.print(table.markdown(), highlight=False)
         console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
 
     def write_figures(self, store: Store, console: Console) -> None:

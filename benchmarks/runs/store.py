@@ -213,7 +213,13 @@ class RunFolder:
         """Time that the complete run took, by the clock ``wall`` or ``cpu``."""
         meta, name = self.meta(), f"{clock}_seconds"
         # runs of the classic tasks once kept it with the training alone
-        return float(meta.get(name) or meta["training"][name])
+        seconds = meta.get(name) or meta.get("training", {}).get(name)
+        if seconds is None:
+            raise BenchmarkError(
+                f"{self.path / 'meta.json'} lacks '{name}'; delete {self.path} and run the preset "
+                "again"
+            )
+        return float(seconds)
 
     def _read(self, name: str, parse: Callable[[Path], Any]) -> Any:
         path = self.path / name

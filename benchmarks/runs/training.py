@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.methods.learners import build_model, class_of, make_training_env
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset
@@ -70,6 +71,10 @@ def learn(
         )
     if callback.stopped:
         return None
+    if model.num_timesteps < timesteps:
+        raise BenchmarkError(
+            f"{algorithm.__name__}.learn() returned at step {model.num_timesteps} of {timesteps}"
+        )
     recorder.model, recorder.num_timesteps = model, model.num_timesteps  # if nothing was left to do
     recorder.finish()
     folder.write_rows("curve", recorder.rows)

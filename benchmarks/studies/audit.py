@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.scripts import SCRIPTS, Moves, Simulator, moves_of
@@ -49,6 +50,8 @@ def scripted(preset: Preset, starts: int, tick: Tick = lambda share: None) -> li
     oracle = LatticeOracle()
     rows: list[Row] = []
     for name, track in preset.tracks.items():
+        if track.team or track.shield is not None:
+            raise BenchmarkError(f"track '{name}': scripts play the plain task, no team or shield")
         cell = Cell("rainbow", "full", "optimized", name, 0)
         env = CoopInsertionEnv(**env_arguments(preset, cell, track))
         simulator = Simulator(env)

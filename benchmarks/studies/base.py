@@ -83,7 +83,7 @@ class Study(ABC):
                     f"{cls.name} needs pip install 'sb3-rainbow-coop[{cls.needs[-1]}]': {error}"
                 )
                 raise BenchmarkError(message) from error
-        console = Console(soft_wrap=True)
+        console = Console(soft_wrap=True, markup=False)
         study = cls(given)
         with bar(console) as progress:
             for name, part in study.parts().items():
@@ -93,7 +93,7 @@ class Study(ABC):
         study.finish()
         for path, text in cls.files(study.results).items():
             write_text(path, text)
-            console.print(text, markup=False, highlight=False)
+            console.print(text, highlight=False)
         pages = blocks.rewrite(study.results, cls.blocks(study.results))
         console.print(f"Written to {', '.join(map(str, [study.folder, *pages]))}", markup=False)
         return 0
@@ -219,10 +219,10 @@ def source_digest(of: Any) -> dict[str, str]:
 
 
 def _as_json(value: Any) -> str:
-    """JSON, with numpy's numbers as numbers and paths as text."""
+    """JSON, with numpy's numbers and arrays as numbers and lists and paths as text."""
 
     def plain(each: Any) -> Any:
-        return each.item() if hasattr(each, "item") else str(each)
+        return each.tolist() if hasattr(each, "tolist") else str(each)
 
     return json.dumps(value, indent=1, default=plain)
 

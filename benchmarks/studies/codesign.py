@@ -325,7 +325,7 @@ class Codesign(Study):
 
     def _train(self, preset: Path) -> None:
         """Run the cells of the preset that are missing; if it is interrupted, the rest is kept."""
-        experiment, console = Insertion(str(preset)), Console(soft_wrap=True)
+        experiment, console = Insertion(str(preset)), Console(soft_wrap=True, markup=False)
         store = experiment.open_store(self.folder, create=True)
         with store.lock():
             outcome = Harness(experiment, store, Backend(self.given.jobs), console).run()

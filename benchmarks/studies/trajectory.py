@@ -154,7 +154,7 @@ def _lengths(moves: float, seconds: float) -> list[str]:
 
 def export(folder: Path, trajectory: Trajectory) -> None:
     """Write a trajectory as CSV, as YAML of a JointTrajectory and as a picture."""
-    console = Console(soft_wrap=True)
+    console = Console(soft_wrap=True, markup=False)
     folder.mkdir(parents=True, exist_ok=True)
     trajectory.to_csv(folder / "trajectory.csv")
     trajectory.to_yaml(folder / "joint_trajectory.yaml")

@@ -34,7 +34,7 @@ PALETTE: Final = (
 )
 # one colour per method and one style per track, in every figure; controls from Tol's muted colours
 METHOD_COLOURS: Final = {
-    **{name: PALETTE[learner.colour] for name, learner in LEARNERS.items()},
+    **{name: PALETTE[learner.colour % len(PALETTE)] for name, learner in LEARNERS.items()},
     "masked_dqn": PALETTE[5],
     "rrt_connect": PALETTE[3], "rrt_lattice": PALETTE[4], "optimum": PALETTE[6],
     "random": "#DDDDDD", "greedy": "#999933",

@@ -11,7 +11,7 @@ from benchmarks.protocol.presets import SuitePreset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.results import Result
 from benchmarks.reporting.stats import Array, Value, measured, over_seeds
-from benchmarks.reporting.verify import check_seeds
+from benchmarks.reporting.verify import check_meta, check_seeds
 from benchmarks.runs.store import Store
 
 
@@ -53,9 +53,9 @@ class SuiteResults:
         """A sentence for each run that is another's, or has other test episodes than its seed's."""
         result = []
         for cell, run in self.all.items():
-            problems = check_seeds(
-                run.episodes, "seed", episode_seeds(cell.seed, self.preset.final_episodes)
-            )
+            problems = check_meta(run.folder)
+            seeds = episode_seeds(cell.seed, self.preset.final_episodes)
+            problems += check_seeds(run.episodes, "seed", seeds)
             if (named := run.folder.meta()["cell"]) != cell.id:
                 problems.append(f"meta.json is of the run '{named}'")
             if cell.learns:

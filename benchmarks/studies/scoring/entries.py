@@ -58,6 +58,9 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
     number = len(preset.seeds)
     files = given.model if len(given.model) > 1 else given.model * number
     loaded = {path: load_model(path, given.algorithm, given.trust) for path in given.model}
+    named = {path: given.algorithm or detect_algorithm(path) for path in loaded}
+    if len(kinds := set(named.values())) > 1:
+        raise BenchmarkError(f"the models are of {known(kinds)}: score each by a --name of its own")
     masks = {name: getattr(given, name) for name in ("mask_singularities", "mask_visited")}
     own = ":" in given.planner
 
@@ -72,7 +75,7 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
             player = evaluate.by_policy(evaluate.model_policy(loaded[path]), seed)
             noise = preset.evaluation.noise
             digest = hashlib.sha256(path.read_bytes()).hexdigest()
-            source = {"algorithm": given.algorithm or detect_algorithm(path), "sha256": digest}
+            source = {"algorithm": named[path], "sha256": digest}
             protocol = {"observation": fitting_observation(loaded[path], path), **masks}
         tests, entry = asdict(preset.evaluation), {**source, **protocol}
         config = {"cell": asdict(cell), "evaluation": tests, "entry": entry}
@@ -118,7 +121,7 @@ def score(preset: Preset, given: Given, console: Console) -> None:
         built = {table.name: table for table in build_tables(Results(store))}
         for table in built.values():
             table.write(store.tables)
-    console.print(built["leaderboard"].markdown(), markup=False, highlight=False)
+    console.print(built["leaderboard"].markdown(), highlight=False)
     console.print(f"Episodes: {', '.join(str(folder.path) for folder, *_ in todo)}")
     console.print(f"Leaderboard (CSV, Markdown, LaTeX): {store.tables / 'leaderboard.md'}")
 

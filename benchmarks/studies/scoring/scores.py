@@ -61,12 +61,12 @@ class Replay(Insertion):
         playing = [c for c in complete if not c.learns or self.source.run(c.id).has_policy()]
         not_run, without_policy = len(self.cells) - len(complete), len(complete) - len(playing)
         self.cells = [cell for cell in playing if cell.method != DESIGN]
-        if not any(cell.learns for cell in self.cells):
+        if not any(cell.learns or not without_policy for cell in self.cells):
             mend = "run the preset first"
             if without_policy:  # git keeps those of few presets
-                mend = f"those of {without_policy} complete runs are not here; delete the folder "
-                mend += "of one and run the preset again"
-            raise BenchmarkError(f"{self.source.folder} has no trained policy to score: {mend}")
+                mend = f"the policies of {without_policy} complete runs are not here; delete the "
+                mend += "folder of one and run the preset again"
+            raise BenchmarkError(f"{self.source.folder} has nothing to score: {mend}")
         return not_run, without_policy
 
     def check(self, todo: Sequence[Cell]) -> None:
@@ -121,7 +121,7 @@ class Replay(Insertion):
             rows.append(row)
         head = "run | greedily: stored | now | as trained: stored | now"
         text = plain("Success (%) of the played runs; scripts with 5 % random moves", head, rows)
-        console.print(text, markup=False, highlight=False)
+        console.print(text, highlight=False)
         if self.starts is None and self.episodes is None:
             console.print(f"Runs whose every episode came out as stored: {equal} of {len(rows)}")
         console.print(f"Episodes of this time: {store.folder}")

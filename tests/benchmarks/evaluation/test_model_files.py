@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluation.model_files import load_model, load_stored
+from benchmarks.evaluation import model_files
+from benchmarks.evaluation.model_files import detect_algorithm, load_model, load_stored
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
 from sb3_rainbow import Rainbow
@@ -40,6 +43,24 @@ def test_a_stored_policy_acts_as_it_was_saved(path: Path) -> None:
     assert len(set(wanted.tolist())) > 1
     assert safe.exploration_rate == saved.exploration_rate
     assert safe.observation_space == saved.observation_space
+
+
+def test_a_runs_policy_is_of_the_runs_own_algorithm() -> None:
+    assert detect_algorithm(POLICIES[0]) == "rainbow"
+    with pytest.raises(BenchmarkError, match="is of a run of 'rainbow', not 'ppo'"):
+        load_model(POLICIES[0], "ppo")
+
+
+def test_a_learner_that_cannot_be_imported_spoils_no_other(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    own = {"mine": replace(LEARNERS["dqn"], where="nowhere:Mine")}
+    monkeypatch.setattr(model_files, "LEARNERS", {**LEARNERS, **own})
+    assert load_model(POLICIES[0]).num_timesteps >= 0
+    path = tmp_path / "other.zip"
+    path.write_bytes(b"")
+    with pytest.raises(BenchmarkError, match="algorithm 'mine': 'nowhere:Mine' cannot be imported"):
+        load_model(path, "mine", trust=True)
 
 
 def test_the_stored_policy_with_contact_acts_as_it_was_saved() -> None:

@@ -183,13 +183,15 @@ def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
     assert settings(preset, cell)["dimensions"] == SIZES
 
 
-def test_what_is_not_there_is_an_error_that_lists_what_is() -> None:
+def test_what_is_not_there_is_an_error_that_lists_what_is(tmp_path: Path) -> None:
     with pytest.raises(BenchmarkError, match=r"grid, .*paper, .*shielded, smoke, support, team"):
         load_preset("fast")
     with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
         load_preset("_tracks")
     with pytest.raises(BenchmarkError, match="rainbow-optimized-safe-s0"):
         Insertion(load_preset("smoke")).find("rainbow-s9")
+    with pytest.raises(BenchmarkError, match="the package has a preset 'smoke'"):
+        load(str(smoke_file(tmp_path, "smoke")))
     with pytest.raises(BenchmarkError, match="preset 'empty' holds no run"):
         expand(smoke_preset("empty", runs=[]))
 

@@ -193,6 +193,8 @@ def test_a_policy_that_is_not_its_runs_is_named(store: Store) -> None:
 def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
     run = learners(store)[0].path
     curve = (run / "curve.csv").read_text("utf-8")
+    episodes, meta = ((run / name).read_text("utf-8") for name in ("episodes.csv", "meta.json"))
+    missing = ("machine", "cpu_seconds")
     lines = curve.splitlines(keepends=True)
     cut = [lines[0], "".join(lines[:-1]), curve[:-1], curve[:-5]]
     for name, text, message in (
@@ -205,7 +207,10 @@ def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
         ("config.yaml", "cell: a", "'cell' is no mapping"),
         ("episodes.csv", "", "cannot be read"),
         ("episodes.csv", "episode,success\n0,1\n", "episodes.csv lacks the column 'noise'"),
-        ("curve.csv", "timesteps\n500\n", "curve.csv lacks the column 'episodes'"),
+        ("episodes.csv", episodes.replace(",1,", ",5,"), "values in column 'success'"),
+        ("episodes.csv", episodes.replace(",25,", ",many,"), "values in column 'moves_first'"),
+        ("curve.csv", "timesteps\n500\n", "curve.csv lacks the column 'duration'"),
+        *(("meta.json", meta.replace(key, "x"), f"lacks '{key}'") for key in missing),
         *(("curve.csv", text, "cut off before the training's end, step 500") for text in cut),
         ("curve.csv", curve.replace("0.5", "a", 1), "curve.csv holds what is no number"),
     ):
@@ -256,7 +261,7 @@ def test_each_damaged_file_is_a_line(copy: Path, store: Store, capsys: Capture) 
     assert "Study transfer: its text against its data" in out
     assert "Pages: not looked at until these differences are mended" in out
     assert main([*words(copy, "tables"), "--preset", "quick"]) == 2
-    assert f"error: {run.path}: a value of its files is no value" in capsys.readouterr().err
+    assert f"error: {run.path / 'episodes.csv'} has values in column" in capsys.readouterr().err
 
 
 def test_a_store_of_a_preset_of_ones_own_is_named(copy: Path, done: Command) -> None:

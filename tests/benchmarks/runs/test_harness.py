@@ -19,6 +19,7 @@ from rich.progress import Progress
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import expand
+from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.backends import Backend, Job
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
@@ -124,6 +125,17 @@ def test_a_preset_that_was_edited_meanwhile_is_not_run_under_its_old_name(tmp_pa
     outcome = Harness(one, store, Editing(1), Console(file=io.StringIO())).run()
     assert [*outcome.failed] == ["greedy-optimized-safe-s0"]
     assert "'odd' was edited after the run began" in store.run(*outcome.failed).log.read_text()
+
+
+def test_a_learner_that_ends_early_is_no_complete_run(tmp_path: Path) -> None:
+    one = Insertion(load_preset("smoke"))
+    store = one.open_store(tmp_path, create=True)
+    with (
+        mock.patch("stable_baselines3.DQN.learn", lambda self, *_, **__: self),
+        pytest.raises(BenchmarkError, match=r"DQN.learn\(\) returned at step 0 of 480"),
+    ):
+        run_cell(one, one.find("dqn-optimized-safe-s0"), store)
+    assert not store.completed()
 
 
 def test_a_digest_is_of_what_decides_a_result() -> None:

@@ -111,13 +111,14 @@ def test_what_is_stored_comes_out_again_and_what_has_no_policy_is_left_out(
     rows.write_bytes(files[rows])
     assert "5 runs were complete already" in done("run", *copied)
     (rows.parent / "policy.zip").unlink()
-    assert "has no trained policy to score" in refused("evaluate", *copied)
+    assert "has nothing to score: the policies of 2 complete runs" in refused("evaluate", *copied)
 
 
 def test_runs_of_other_settings_are_neither_played_nor_made_again(
     copied: list[str], tmp_path: Path, refused: Command
 ) -> None:
-    changed = smoke_file(tmp_path, "smoke", track={"mask_visited": 8})
+    (tmp_path / "smoke").rename(tmp_path / "mine")
+    changed = smoke_file(tmp_path, "mine", track={"mask_visited": 8})
     for command in (["evaluate"], ["study", "failures"], ["run"]):
         words = [*command, *copied, "--preset", str(changed)]
         assert "track.mask_visited: 0 -> 8" in refused(*words)
@@ -180,6 +181,18 @@ def test_bad_input_is_one_error_and_writes_nothing(
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert message in refused(*words)
     assert [path.name for path in here.rglob("*") if path.is_file()] in ([], ["store.json"])
+
+
+def test_an_interrupt_that_meets_a_kernel_is_an_interrupt(here: Path) -> None:
+    def print_plan(*_: object) -> None:
+        raise SystemError("returned a result with an exception set") from cause
+
+    with mock.patch("benchmarks.cli.print_plan", print_plan):
+        cause: BaseException = KeyboardInterrupt()
+        assert main(["plan", "--preset", "smoke"]) == 130
+        cause = ValueError()
+        with pytest.raises(SystemError):
+            main(["plan", "--preset", "smoke"])
 
 
 @pytest.mark.slow

@@ -75,6 +75,7 @@ def test_both_commands_write_what_they_say(tmp_path: Path, done: Command, refuse
     place = ["--preset", "smoke", "--results", str(tmp_path)]
     audits, fails = (["study", name, *place] for name in ("audit", "failures"))
     done(*audits, "--starts", "1")
+    assert "no team or shield" in refused("study", "audit", *place, "--preset", "shielded")
     assert not (tmp_path / "audit" / "learned.csv").exists()
     assert "no stored policy of rainbow, track safe" in refused(*fails)
     assert "unknown track 'nosuch'; known: safe" in refused(*fails, "--track", "nosuch")

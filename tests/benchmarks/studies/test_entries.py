@@ -16,7 +16,7 @@ import stable_baselines3
 from gymnasium import spaces
 
 from benchmarks.cli import main
-from benchmarks.errors import BenchmarkError
+from benchmarks.errors import BenchmarkError, resolve
 from benchmarks.evaluation.evaluate import (
     Condition,
     begin_episodes,
@@ -30,6 +30,7 @@ from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.store import Store
+from benchmarks.studies.base import _as_json
 from benchmarks.studies.scoring import entries
 from benchmarks.studies.scoring.entries import checked
 from coop_env.env import CoopInsertionEnv
@@ -43,7 +44,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     **{name: {"n_steps": 16, "batch_size": 16} for name in ("ppo", "trpo", "maskable_ppo")},
     **{name: {"buffer_size": 200, "learning_starts": 10} for name in ("dqn", "qrdqn", "rainbow")},
 }
-CLASSES = algorithms()
+CLASSES: dict[str, Any] = {name: resolve(where, "") for name, where in algorithms().items()}
 Train = Callable[..., Path]
 
 
@@ -311,7 +312,7 @@ def test_wrong_spaces_are_one_error(
 def test_wrong_files_are_one_error(train: Train, tmp_path: Path, refused: Command) -> None:
     good = train("ppo")
 
-    def error_of(path: Path, *words: str) -> str:
+    def error_of(path: Path, *words: str | Path) -> str:
         return refused(*command(tmp_path / "results", "--model", path, *words))
 
     assert "is missing; give a .zip" in error_of(tmp_path / "none.zip")
@@ -331,6 +332,8 @@ def test_wrong_files_are_one_error(train: Train, tmp_path: Path, refused: Comman
     assert "letters, digits" in error_of(good, "--name", "a/b")
     assert "one of the harness's own" in error_of(good, "--name", "rainbow")
     assert "either --model or --planner" in error_of(good, "--planner", "optimum")
+    two = smoke_file(tmp_path, "two", seeds=[0, 1])
+    assert "models are of dqn, ppo" in error_of(good, train("dqn"), "--preset", two)
     other = error_of(good, "--preset", "difficulty")
     assert "preset 'difficulty' has no leaderboard" in other
 
@@ -348,6 +351,10 @@ def test_an_entry_leaves_other_tables_alone(train: Train, tmp_path: Path, done: 
     assert rows["Method"].iloc[-1] == "mine"
     ranks = rows["Rank"].tolist()
     assert ranks == ["-", *[str(rank) for rank in range(1, len(ranks))]]
+
+
+def test_a_study_may_measure_arrays() -> None:
+    assert json.loads(_as_json({"x": np.zeros(2), "n": np.int64(3)})) == {"x": [0.0, 0.0], "n": 3}
 
 
 def test_the_documented_study_runs(here: Path, done: Command, refused: Command) -> None:

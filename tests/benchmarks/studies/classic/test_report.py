@@ -57,6 +57,7 @@ def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> Non
     atari = dataclasses.replace(load_suite("atari100k"), seeds=[3], final_episodes=2, controls=[])
     store = Store.open(tmp_path, "atari100k", create=True)
     seeds = episode_seeds(3, 2)
+    made = {"wall_seconds": 1.0, "cpu_seconds": 1.0, "commit": "a", "dirty": False, "machine": {}}
     rows = [{"episode": i, "seed": seed, "return": 1.0} for i, seed in enumerate(seeds)]
     for cell, kept in zip(
         expand(atari), (rows, rows[:1], [rows[0], {**rows[1], "seed": 7}]), strict=True
@@ -65,12 +66,15 @@ def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> Non
         run.begin(settings(atari, cell))
         run.write_rows("episodes", kept)
         run.write_rows("curve", [{"timesteps": 0, "return_mean": 1.0}])
-        run.write_meta({"cell": cell.id, "training": {"timesteps": 0}})
+        run.write_meta({"cell": cell.id, "training": {"timesteps": 0}, **made})
     few, other = SuiteResults(atari, store).problems()
     assert "has 1 rows, not one for each of the 2 test episodes" in few
     assert "other than the test seeds" in other
-    run.write_meta({"cell": "another", "training": {"timesteps": 0}})
-    assert f"{run.path}: meta.json is of the run 'another'" in SuiteResults(atari, store).problems()
+    del made["machine"]
+    run.write_meta({"cell": "another", "training": {"timesteps": 0}, **made})
+    problems = SuiteResults(atari, store).problems()
+    for wrong in ("is of the run 'another'", "lacks 'machine'"):
+        assert f"{run.path}: meta.json {wrong}" in problems
     text = (run.path / "config.yaml").read_text().replace("gamma: 0.99", "gamma: 0.5")
     (run.path / "config.yaml").write_text(text)
     with pytest.raises(BenchmarkError, match=r"settings \(arguments.gamma: 0.5 -> 0.99"):
