@@ -303,7 +303,7 @@ class Twin:
 
     def _check_hold(self, home: Floats) -> None:
         """Whether the servos hold home within what the task calls inserted."""
-        task, start = self.machine.task, self.states.copy()
+        task, start, read = self.machine.task, self.states.copy(), self._sensors.copy()
         result = last(self.advance(self._home_angles, round(_SETTLING / self.machine.timestep)))
         sag, sunk, lean = (off[0] for off in self.errors(result, np.tile(home, (self.n, 1))))
         held = max(sag, sunk) < task.tolerance and lean < task.angle_tolerance
@@ -314,7 +314,7 @@ class Twin:
                 f"{np.degrees(lean):.3g} degrees; raise the stiffness or torque_limit, or turn "
                 "gravity_compensation on"
             )
-        self.states = start
+        self.states, self._sensors = start, read
 
 
 def joint_targets(configurations: ArrayLike, machine: Machine) -> Floats:

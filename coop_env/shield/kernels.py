@@ -63,9 +63,10 @@ def way_point(c: np.ndarray, a: np.ndarray, t: float) -> Configuration:
 @njit(cache=True)
 def pieces(a: np.ndarray) -> int:
     """In how many pieces an increment (6,) is looked at."""
-    linear = max(math.hypot(math.hypot(a[0], a[1]), a[2]), abs(a[5])) / LINEAR_SPACING
+    # what one robot does, and each of the platform's two motions, may add to the others
+    linear = (math.hypot(math.hypot(a[0], a[1]), a[2]) + abs(a[5])) / LINEAR_SPACING
     angular = math.hypot(a[3], a[4]) / ANGULAR_SPACING
-    return max(1, math.ceil(max(linear, angular) - 1e-9))
+    return max(1, math.ceil(linear + angular - 1e-9))
 
 
 @njit(cache=True)

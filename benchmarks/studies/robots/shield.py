@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from itertools import islice, product
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,6 +36,7 @@ from coop_env.shield.certificate import Certificate
 from coop_env.simulation import dynamics
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.state import VALID
+from coop_env.simulation.task import N_AXES
 
 TASK: Final[dict[str, Any]] = {"reward": "progress"}
 SAFE: Final[dict[str, Any]] = {**TASK, "mask_singularities": True}
@@ -48,8 +50,8 @@ LEARNED: Final = {
 Floats = NDArray[np.float64]
 Maker = Callable[[CoopInsertionEnv, int], Act]  # who plays in an environment, of that seed
 ERRORS: Final = {
-    "1 mm, 0.1 degrees, links 0.02 %": SimToReal(
-        base_position_error=0.001, base_tilt_error=math.radians(0.1), link_length_error=0.0002
+    "1 mm, 0.1 degrees, links 0.01 %": SimToReal(
+        base_position_error=0.001, base_tilt_error=math.radians(0.1), link_length_error=0.0001
     ),
     "2 mm, 0.2 degrees, links 0.05 %, play 0.05 degrees": SimToReal(
         base_position_error=0.002, base_tilt_error=math.radians(0.2), link_length_error=0.0005,
@@ -59,7 +61,8 @@ ERRORS: Final = {
 """Bounds of what the machine does not know of itself: base, its tilt, lengths, joints."""
 
 MOVES: Final = 10_000  # of each machine
-CONFIGURATIONS: Final = 2_000  # at the margin
+CONFIGURATIONS: Final = 10_000  # at the margin
+CLIMB: Final = 100  # of them in a row
 LOOKS: Final = 23  # at each way
 NEAR: Final = 40  # points of each robot at a time, where they may meet
 BODIES: Final = ("dome_radius", "effector_radius", "forearm_radius", "spoke_radius", "limb_radius")
@@ -236,47 +239,95 @@ def search(machines: int, tick: Tick) -> dict[str, int]:
     return {"machines": machines, "moves": total.moves, "harmful": total.harmful}
 
 
-def at_the_margin(real: SimToReal, configurations: int, tick: Tick) -> dict[str, int]:
-    """Configurations driven to the margin, and at how many the worst machine in bounds is harmed.
+def at_the_margin(real: SimToReal, configurations: int, tick: Tick) -> dict[str, float]:
+    """Configurations at the margin, and at how many the worst machine in bounds is harmed.
 
-    The base stands off by the whole bound along all axes and is tilted by it about both; all links
-    are too long or too short by it.
+    Each error stands at its bound, with the sign that leaves the least. All errors are scaled
+    together up to the first harm: the least such ``share`` of the bounds says how much is covered.
+    Of ``CLIMB`` configurations each but the first is near the one that had the least share.
     """
-    env = CoopInsertionEnv(sim_to_real=real)
+    env, bounds = CoopInsertionEnv(sim_to_real=real), _bounds(real)
     shield, rng = KinematicShield(env), np.random.default_rng(derive("fresh", 17))
-    bounds = np.array([real.base_position_error] * 3 + [real.base_tilt_error] * 2)
-    corners = [bounds * signs for signs in product((-1.0, 1.0), repeat=len(bounds))]
-    result = {"configurations": 0, "harmed": 0}
+    result = {"configurations": 0, "harmed": 0, "share": math.inf}
+    best, least, signs = np.zeros(N_AXES), math.inf, np.ones(len(bounds))
     while result["configurations"] < configurations:
+        begins = result["configurations"] % CLIMB == 0
+        c = _edge(shield, rng, None if begins else best)
         try:
-            env.reset(seed=int(rng.integers(2**31)), options={"configuration": _edge(shield, rng)})
+            env.reset(seed=int(rng.integers(2**31)), options={"configuration": c})
         except ResetOptionError:
             continue  # this draw of the machine is harmed already, or no start
-        worst = product(corners, (-real.link_length_error, real.link_length_error))
+        guesses = list(rng.choice([-1.0, 1.0], (8 if begins else 1, len(bounds))))
+        guesses += [] if begins else [signs]
+        share, worst = min(
+            (_least_share(env, bounds, guess) for guess in guesses), key=itemgetter(0)
+        )
+        if begins or share < least:
+            best, least, signs = c, share, worst
         result["configurations"] += 1
-        result["harmed"] += any(_status(env, base, longer) != VALID for base, longer in worst)
+        result["harmed"] += share <= 1.0
+        result["share"] = min(result["share"], share)
         tick(result["configurations"] / configurations)
     return result
 
 
-def _edge(shield: KinematicShield, rng: np.random.Generator) -> Floats:
-    """A certified configuration from which the way on is not."""
+def _bounds(real: SimToReal) -> Floats:
+    """Of the base's position (3) and tilt (2), and of the eight lengths."""
+    base = [real.base_position_error] * 3 + [real.base_tilt_error] * 2
+    return np.array([*base, *[real.link_length_error] * 8])
+
+
+def _edge(shield: KinematicShield, rng: np.random.Generator, near: Floats | None) -> Floats:
+    """A certified configuration from which the way on is not, anywhere or ``near`` another."""
     low = np.array([-0.12, -0.12, -0.60, -0.6, -0.6, 0.21])
-    high = np.array([0.12, 0.12, -0.45, 0.6, 0.6, 0.25])
+    span = np.array([0.12, 0.12, -0.45, 0.6, 0.6, 0.25]) - low
     while True:
-        c = rng.uniform(low, high)
+        c = low + span * rng.random(N_AXES)
+        if near is not None:
+            c = near + 0.5 * span * 0.1 ** rng.uniform(0.5, 3.0) * rng.normal(size=N_AXES)
         if shield.is_certified(c):
-            taken, changed = shield.certify(c, np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0]))
+            down = np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0])
+            way = down if rng.random() < 0.3 else 0.3 * span * rng.normal(size=N_AXES)
+            taken, changed = shield.certify(c, way)
             if changed:
                 return np.asarray(c + taken)
 
 
-def _status(env: CoopInsertionEnv, base: Floats, longer: float) -> int:
-    """How a configuration is for a machine whose base stands so, and whose links are so long."""
+def _least_share(env: CoopInsertionEnv, bounds: Floats, signs: Floats) -> tuple[float, Floats]:
+    """The least share of all bounds that harms the machine, at most 8, and the errors' signs.
+
+    Signs are turned one by one as long as that leaves less, from the given ones on.
+    """
+
+    def harms(share: float, signs: Floats) -> bool:
+        return _status(env, share * signs * bounds) != VALID
+
+    def first(signs: Floats, most: float) -> float:
+        low, high = 0.0, most
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if harms(middle, signs) else (middle, high)
+        return high
+
+    least, turned = first(signs, 8.0), True
+    while turned:
+        turned = False
+        for k in range(len(signs)):
+            other = signs.copy()
+            other[k] *= -1.0
+            if harms(least, other):
+                smaller = first(other, least)
+                turned, signs = turned or smaller < least, other
+                least = min(least, smaller)
+    return least, signs
+
+
+def _status(env: CoopInsertionEnv, errors: Floats) -> int:
+    """How the configuration is for a machine with these errors of base (5) and lengths (8)."""
     states = env._states.copy()
     machine = states[0]["machine"]
-    machine["base"] = base
-    machine["lengths"] = (1.0 + longer) * np.array([*env.params.rrs[:4], *env.params.delta[:4]])
+    machine["base"] = errors[:5]
+    machine["lengths"] = (1.0 + errors[5:]) * np.array([*env.params.rrs[:4], *env.params.delta[:4]])
     return int(dynamics.settle(states[0], env.params))
 
 
@@ -346,7 +397,11 @@ class Shield(Measured):
             if row["policy"] != "adversary"  # of older files
         ]
         machines = [counts(parts["machines"], "machines moves harmful")]
-        margins = [[n, *counts(parts[f"{n}: margin"], "configurations harmed")] for n in ERRORS]
+        margins = [
+            [name, *counts(part := parts[f"{name}: margin"], "configurations harmed"),
+             f"{part['share']:.2f}"]
+            for name in ERRORS
+        ]  # fmt: skip
         tables = [
             plain("Certificate: moves that the shield allows, on the nominal machine",
                   "lattice | configurations | moves | harmful | dead ends", lattices),
@@ -358,7 +413,8 @@ class Shield(Measured):
             plain("Random machines: moves that the shield allows where the robots may meet",
                   "machines | moves | harmful", machines),
             plain("The worst machine within the bounds of its errors, its model at the margin",
-                  "errors | configurations | harmed", margins),
+                  "errors | configurations | harmed | share of the bounds at the first harm",
+                  margins),
         ]  # fmt: skip
         note = (
             "Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "

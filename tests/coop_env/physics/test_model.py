@@ -68,6 +68,14 @@ def test_servos_and_their_joints_have_ranges_around_home(opened: mujoco.MjModel)
     assert opened.joint("rrs_joint1").range == pytest.approx([g.joint_min, g.joint_max])
 
 
+def test_a_new_twin_reads_where_it_stands() -> None:
+    twin = Twin(Machine(servos=Servos(gravity_compensation=False)))
+    first = twin.readings()
+    placed = twin.place(0, twin.machine.home())
+    np.testing.assert_array_equal(first.joints[0], placed.joints)
+    np.testing.assert_array_equal(first.tip[0], placed.tip)
+
+
 def test_the_peg_meets_the_platforms_disc(opened: mujoco.MjModel) -> None:
     data = mujoco.MjData(opened)
     disc, peg = opened.geom("platform_disc").id, opened.geom("peg").id

@@ -14,6 +14,7 @@ from coop_env.errors import ActionError, ArgumentError
 from coop_env.geometry import OPTIMIZED
 from coop_env.kinematics import rrs
 from coop_env.shield import KinematicShield, ShieldedInsertionVecEnv, ShieldMargin, ShieldWrapper
+from coop_env.simulation.state import VALID
 
 COLLISION = 2
 
@@ -106,6 +107,17 @@ def test_no_random_agent_does_harm_and_the_way_back_stays_open() -> None:
             inside = False
             wrapped.reset()
     assert interventions > 50
+
+
+def test_both_robots_at_once_are_looked_at_as_closely_as_one() -> None:
+    env = CoopInsertionEnv()
+    shield = KinematicShield(env, {"clearance": 0.001})
+    state = [0.0187092662, -0.0294016203, -0.4540205698, 0.0437298204, -0.0988583605, 0.2239954829]
+    action = [-0.0002102569, 0.0012755527, 0.0015260266, 0.0025472661, 0.0030840615, -0.002]
+    assert shield.is_certified(state)
+    taken, _ = shield.certify(state, action)
+    for share in np.linspace(0.0, 1.0, 201):
+        assert env.configuration_status(state + share * taken) == VALID
 
 
 def test_masks_are_those_of_the_environment_and_of_the_shield() -> None:

@@ -1,5 +1,6 @@
 """``python -m benchmarks study shield`` measures, goes on where it stopped, and can be checked."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from benchmarks.studies.robots.shield import ERRORS, Shield, at_the_margin, atta
 from coop_env import CoopInsertionEnv
 from coop_env.shield import KinematicShield
 from coop_env.shield.certificate import Certificate, check_product, lattice
+from coop_env.simulation.state import VALID
 
 SMALL = ["--phases", "1", "--moves", "100", "--episodes", "1", "--seeds", "2", "--no-full"]
 SMALL += ["--machines", "1"]
@@ -76,6 +78,22 @@ def test_no_certified_move_harms_another_machine(machine: dict[str, Any] | None)
 
 
 def test_the_margin_covers_the_worst_machine_within_its_bounds_and_no_worse_one() -> None:
-    covered, beyond = (at_the_margin(real, 40, lambda _: None) for real in ERRORS.values())
-    assert covered == {"configurations": 40, "harmed": 0}
-    assert beyond["harmed"] > 20
+    covered, beyond = (at_the_margin(real, 120, lambda _: None) for real in ERRORS.values())
+    assert (covered["configurations"], covered["harmed"]) == (120, 0)
+    assert covered["share"] > 1.0 > beyond["share"]
+    assert beyond["harmed"] > 30
+
+
+def test_the_worst_signs_of_the_errors_are_found() -> None:
+    """At this configuration a machine collides whose links err in different directions."""
+    real = dataclasses.replace(next(iter(ERRORS.values())), link_length_error=0.0002)
+    env, rng = CoopInsertionEnv(sim_to_real=real), np.random.default_rng(0)
+    c = [-0.0491010901, 0.0531938052, -0.4809915656, -0.4686801592, -0.3083953182, 0.2335715947]
+    assert KinematicShield(env).is_certified(c)
+    env.reset(seed=0, options={"configuration": c})
+    bounds = shield._bounds(real)
+    found = [shield._least_share(env, bounds, rng.choice([-1.0, 1.0], 13)) for _ in range(4)]
+    share, signs = min(found, key=lambda each: each[0])
+    assert share == pytest.approx(0.968, abs=2e-3)
+    alike = np.concatenate([signs[:5], np.ones(8)])
+    assert shield._status(env, signs * bounds) != VALID == shield._status(env, alike * bounds)
