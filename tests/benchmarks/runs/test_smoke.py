@@ -211,9 +211,9 @@ def test_teams_begin_alike_and_verify_agrees(tmp_path: Path, done: Command) -> N
             {"methods": ["optimum", "optimum_at_once"]},
         ],
     }
-    words = ["--preset", str(preset_file(tmp_path, preset, "tiny")), "--results", str(tmp_path)]
+    words = ["--preset", str(preset_file(tmp_path, preset, "mine")), "--results", str(tmp_path)]
     done("run", *words, "--jobs", "1")
-    runs = Results(Store.open(tmp_path, "tiny")).all()
+    runs = Results(Store.open(tmp_path, "mine")).all()
     assert len(runs) == 12
     assert len({tuple(run.test()["start"]) for run in runs}) == 1
     done("verify", *words)
