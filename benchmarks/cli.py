@@ -72,7 +72,7 @@ def run(given: Given) -> int:
     device = _device(given, given.gpus_per_run)
     console, (one, store) = Console(soft_wrap=True, markup=False), _open(given, create=True)
     with store.lock(), closing(_backend(given)) as backend:
-        console.print(f"{backend.describe()}, networks on {device}", markup=False)
+        console.print(f"{backend.describe()}, networks on {device}")
         outcome = Harness(one, store, backend, console, device).run()
         return outcome.close(store, console, lambda: _write(one, "report", store, console))
 

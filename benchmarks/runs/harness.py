@@ -220,7 +220,7 @@ class Harness:
             self._say(folder, f"a checkpoint could not be read and is kept as {kept}", "yellow")
 
     def _say(self, folder: RunFolder, text: str, style: str | None = None) -> None:
-        self.console.print(f"{folder.id}: {text}", style=style, markup=False)
+        self.console.print(f"{folder.id}: {text}", style=style)
 
     def _stop(self) -> None:
         for child in self._children:

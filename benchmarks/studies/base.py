@@ -95,7 +95,7 @@ class Study(ABC):
             write_text(path, text)
             console.print(text, highlight=False)
         pages = blocks.rewrite(study.results, cls.blocks(study.results))
-        console.print(f"Written to {', '.join(map(str, [study.folder, *pages]))}", markup=False)
+        console.print(f"Written to {', '.join(map(str, [study.folder, *pages]))}")
         return 0
 
     @abstractmethod

@@ -162,7 +162,7 @@ def export(folder: Path, trajectory: Trajectory) -> None:
     console.print(f"{trajectory.duration:.2f} s in {len(trajectory.stops) - 1} moves")
     for move, reason in trajectory.blocked():
         console.print(f"move {move} is not free: on its way there is {reason}")
-    console.print(f"Written to {folder}", markup=False)
+    console.print(f"Written to {folder}")
 
 
 def measure(method: str, model: Path, starts: int, tick: Tick) -> list[Row]:

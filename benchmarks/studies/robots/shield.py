@@ -413,7 +413,7 @@ class Shield(Measured):
             plain("Random machines: moves that the shield allows where the robots may meet",
                   "machines | moves | harmful", machines),
             plain("The worst machine within the bounds of its errors, its model at the margin",
-                  "errors | configurations | harmed | share of the bounds at the first harm",
+                  "errors | configurations | harmed | least share of the bounds found to harm",
                   margins),
         ]  # fmt: skip
         note = (
