@@ -142,6 +142,13 @@ def test_epsilon_follows_sb3s_schedule_beside_the_noise_or_alone(
     assert set(record(off, 300, tmp_path)["rollout/exploration_rate"]) == {0.0}
 
 
+def test_actions_are_by_chance_until_learning_starts() -> None:
+    env = Toy(spaces.Box(-1.0, 1.0, (1,)), lambda _: np.zeros(1, np.float32))
+    off = {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+    buffer: Any = make(env, noisy=False, learning_starts=50, **off).learn(50).replay_buffer
+    assert 10 < buffer.actions[:50].sum() < 40
+
+
 def test_hessel_et_als_settings_are_those_of_their_table() -> None:
     model = Rainbow("MlpPolicy", "CartPole-v1", buffer_size=1000, **HESSEL)
     assert model.q_net.head == "categorical"

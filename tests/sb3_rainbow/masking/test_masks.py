@@ -253,6 +253,9 @@ def test_use_masking() -> None:
     model = small_model(ClockEnv())
     with pytest.raises(AssertionError, match="is forbidden"):
         model.learn(50, use_masking=False)
+    plain: Any = {"replay_buffer_class": ReplayBuffer, "prioritized": False, "n_steps": 1}
+    with pytest.raises(ValueError, match=r"ReplayBuffer cannot store .* use_masking=False"):
+        small_model(ClockEnv(), **plain).learn(10)
     unclear: Any = "no"
     with pytest.raises(ValueError, match="use_masking must be"):
         model.learn(50, use_masking=unclear)
@@ -321,6 +324,7 @@ def test_no_transition_skips_a_step(n_envs: int, stops: tuple[int, ...]) -> None
     moved = samples.next_observations - samples.observations
     th.testing.assert_close(moved, th.tensor([[0.0, 1.0]]).expand_as(moved))
     assert model._episode_num == 12 * n_envs
+    assert model._n_calls == 60  # the steps that move the target
 
 
 def test_it_serves_sb3s_buffer_normalization_and_lists_of_callbacks() -> None:

@@ -71,6 +71,8 @@ def test_initial_sigma_and_mean_ranges() -> None:
     th.testing.assert_close(layer.bias_sigma.data, th.full((100,), 0.3 / 8))
     assert layer.weight_mu.abs().max() <= 1 / 8
     assert layer.weight_mu.std().item() == pytest.approx(1 / 8 / np.sqrt(3), rel=0.05)
+    assert layer.bias_mu.std().item() == pytest.approx(1 / 8 / np.sqrt(3), rel=0.2)
+    assert layer.epsilon_in.std() > 0.5  # a new layer has noise
 
 
 def test_quantiles_explore_as_values_do() -> None:

@@ -7,10 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium import spaces
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_rainbow import PrioritizedReplayBuffer
 
 GAMMA = 0.9
+HALVES = VecNormalize(make_vec_env("CartPole-v1"), norm_obs=False)  # all rewards
+HALVES.ret_rms.var = np.array(4.0)
 
 
 @dataclass
@@ -142,6 +146,8 @@ def check(buffer: PrioritizedReplayBuffer, world: World, kind: str = "box") -> N
     actions, returns, discounts, dones, next_obs, masks = map(np.array, columns)
     np.testing.assert_array_equal(samples.actions[:, 0], actions)
     np.testing.assert_allclose(samples.rewards[:, 0], returns, rtol=0, atol=1e-5)
+    halves: Any = buffer.samples_at(leaves, HALVES).rewards
+    np.testing.assert_allclose(halves[:, 0], returns / 2, rtol=0, atol=1e-5)
     np.testing.assert_allclose(samples.discounts[:, 0], discounts, rtol=1e-6)
     np.testing.assert_array_equal(samples.dones[:, 0], dones)
     np.testing.assert_array_equal(decode(samples.next_observations, kind), next_obs)
