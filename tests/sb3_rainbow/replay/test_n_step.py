@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from sb3_rainbow import PrioritizedReplayBuffer
 
 GAMMA = 0.9
-HALVES = VecNormalize(make_vec_env("CartPole-v1"), norm_obs=False)  # all rewards
+HALVES = VecNormalize(make_vec_env("CartPole-v1"), norm_obs=False)  # rewards
 HALVES.ret_rms.var = np.array(4.0)
 
 
