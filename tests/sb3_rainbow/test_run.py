@@ -144,7 +144,7 @@ def test_epsilon_follows_sb3s_schedule_beside_the_noise_or_alone(
 
 def test_actions_are_by_chance_until_learning_starts() -> None:
     env = Toy(spaces.Box(-1.0, 1.0, (1,)), lambda _: np.zeros(1, np.float32))
-    off = {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+    off: Any = {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
     buffer: Any = make(env, noisy=False, learning_starts=50, **off).learn(50).replay_buffer
     assert 10 < buffer.actions[:50].sum() < 40
 
