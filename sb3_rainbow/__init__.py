@@ -5,7 +5,6 @@ from sb3_rainbow.network.noisy_linear import NoisyLinear
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.replay.callbacks import PrioritizedReplayCallback
 from sb3_rainbow.replay.sum_tree import SumTree
 from sb3_rainbow.settings import HESSEL
 
@@ -20,7 +19,6 @@ __all__ = [
     "MultiInputPolicy",
     "NoisyLinear",
     "PrioritizedReplayBuffer",
-    "PrioritizedReplayCallback",
     "Rainbow",
     "SumTree",
     "TerminalActionMask",

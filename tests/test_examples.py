@@ -30,7 +30,6 @@ SHORT = {
     "own_3rrs": ("2", r"Rb 0\.\d+.*\n(.*\n){2}own: the optimum inserts from [012] of 2 starts", []),
     "own_delta": ("1", r"47 moves: \d\.\d\d s by .*\nmoves that are not free on their way:", []),
     "own_method": ("1", r"climb, seed 0, noise 0: Success .*\n(.*\n)*Nothing was stored", []),
-    "prioritized_dqn": ("500", r"priorities from (\S+) to (?!\1)\S+\nreturn after 500", []),
 }
 
 

@@ -37,13 +37,11 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     - Each observation is stored once, for every dtype and for dicts; the terminal observations,
       which autoreset would lose, are kept apart.
 
-    It takes the place of SB3's own buffers::
+    It gives SB3's off-policy algorithms n-step returns; their draws are uniform, because they
+    report no errors to their buffer::
 
         DQN("MlpPolicy", env, replay_buffer_class=PrioritizedReplayBuffer,
             replay_buffer_kwargs={"n_steps": 3, "gamma": 0.99})
-
-    SB3's ``DQN`` reports no losses to its buffer: add
-    :class:`~sb3_rainbow.replay.callbacks.PrioritizedReplayCallback` to feed the priorities.
 
     Args:
         buffer_size: transitions to keep, over all envs.
@@ -111,7 +109,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self._pending = np.zeros(self.n_envs, dtype=np.int64)
         self.tree = SumTree(self.buffer_size * self.n_envs)
         self.max_priority = 1.0
-        self.last_indices: NDArray[np.int64] | None = None
 
     def reset(self) -> None:
         """Forget everything."""
@@ -253,8 +250,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
                 "The replay buffer holds no complete n-step window yet: raise learning_starts "
                 f"(n_steps={self.n_steps}, n_envs={self.n_envs})"
             )
-        self.last_indices = self.tree.sample(batch_size)
-        return self._get_samples(self.last_indices, env)
+        return self._get_samples(self.tree.sample(batch_size), env)
 
     def samples_at(
         self, indices: NDArray[np.int64], env: VecNormalize | None = None

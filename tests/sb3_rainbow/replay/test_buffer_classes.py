@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
-from stable_baselines3 import DQN, PPO, SAC, HerReplayBuffer
+from stable_baselines3 import DQN, SAC, HerReplayBuffer
 from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.envs import BitFlippingEnv, SimpleMultiObsEnv
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback, Rainbow
+from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
 from tests.sb3_rainbow.small import FAST, Toy, make
 
 
@@ -132,27 +132,14 @@ def test_optimize_memory_usage_is_accepted() -> None:
     assert buffer.timeouts[79]
 
 
-def test_the_callback_serves_dqn_with_the_buffer() -> None:
-    ours: dict[str, Any] = {"replay_buffer_class": PrioritizedReplayBuffer, "buffer_size": 100}
-    for model, name in (
-        (DQN("MlpPolicy", "CartPole-v1", buffer_size=100), "DQN with ReplayBuffer"),
-        (PPO("MlpPolicy", "CartPole-v1", device="cpu"), "PPO with NoneType"),
-        (SAC("MlpPolicy", "Pendulum-v1", **ours), "SAC with PrioritizedReplayBuffer"),
-    ):
-        with pytest.raises(ValueError, match=f"needs SB3's DQN with .*, got {name}"):
-            model.learn(10, callback=PrioritizedReplayCallback())
-
-
-def test_priorities_under_dqn_go_on_after_a_training_that_overwrote_the_last_batch() -> None:
-    env = Toy(spaces.Box(-1.0, 1.0, (2,)), lambda _: np.zeros(2), length=1000)
-    per: Any = {"replay_buffer_class": PrioritizedReplayBuffer}
-    size: Any = {"buffer_size": 8, "batch_size": 8, "replay_buffer_kwargs": {"n_steps": 3}}
-    model = DQN("MlpPolicy", env, learning_starts=5, train_freq=1, seed=0, **per, **size)
-    model.learn(40, callback=PrioritizedReplayCallback())
-    model.learning_starts = 10**9
-    model.learn(3, reset_num_timesteps=False)
-    model.learning_starts = 0
-    model.learn(10, callback=PrioritizedReplayCallback(), reset_num_timesteps=False)
+@pytest.mark.parametrize(("kind", "env"), [(DQN, "CartPole-v1"), (SAC, "Pendulum-v1")])
+def test_sb3s_algorithms_draw_n_step_returns_uniformly(kind: Any, env: str) -> None:
+    kept: Any = {"n_steps": 3, "gamma": 0.9}
+    given: Any = {"replay_buffer_class": PrioritizedReplayBuffer, "replay_buffer_kwargs": kept}
+    model = kind("MlpPolicy", env, learning_starts=20, buffer_size=100, seed=0, **given)
+    buffer = model.learn(80).replay_buffer
+    assert 0.9**3 in np.unique(buffer.sample(100).discounts.round(decimals=6))
+    assert np.unique(buffer.tree.leaves).tolist() == [0.0, 1.0]  # 0 of what cannot be drawn yet
 
 
 IMAGE = spaces.Box(0, 255, (3, 4, 5), np.uint8)
