@@ -252,22 +252,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             )
         return self._get_samples(self.tree.sample(batch_size), env)
 
-    def samples_at(
-        self, indices: NDArray[np.int64], env: VecNormalize | None = None
-    ) -> PrioritizedReplayBufferSamples:
-        """The transitions of given indices, as an earlier sample named them.
-
-        Raises:
-            ValueError: one of them has been overwritten, and what is there now is not complete.
-        """
-        empty = indices[self.tree.leaves[indices] <= 0.0]
-        if len(empty):
-            raise ValueError(
-                f"No complete transition at index {empty[0]}: it has been overwritten since it was "
-                "sampled"
-            )
-        return self._get_samples(indices, env)
-
     def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:
         """Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.
 

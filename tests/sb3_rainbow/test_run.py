@@ -79,7 +79,7 @@ def test_vec_normalize() -> None:
     assert isinstance(buffer, PrioritizedReplayBuffer)
     # Stored as the env gave them, normalized with today's statistics when drawn
     leaves = np.flatnonzero(buffer.tree.leaves)
-    plain, normalized = buffer.samples_at(leaves), buffer.samples_at(leaves, env)
+    plain, normalized = buffer._get_samples(leaves), buffer._get_samples(leaves, env)
     obs: Any = np.asarray(plain.observations)
     np.testing.assert_allclose(obs[:, 0] ** 2 + obs[:, 1] ** 2, 1.0, rtol=1e-4)
     expected_obs: Any = env.normalize_obs(obs)
@@ -195,7 +195,7 @@ def test_no_return_crosses_a_reset_that_cannot_be_seen() -> None:
     model = make(env, train_freq=1, gamma=1.0, n_steps=3).learn(15)
     model.learn(15)
     buffer: Any = model.replay_buffer
-    returns = buffer.samples_at(np.arange(12, 16)).rewards.ravel().tolist()
+    returns = buffer._get_samples(np.arange(12, 16)).rewards.ravel().tolist()
     assert returns == [13 + 14 + 15, 14 + 15, 15, 1 + 2 + 3]
     assert buffer.timeouts[:, 0].nonzero()[0].tolist() == [14]
     model.learn(5, reset_num_timesteps=False)

@@ -70,7 +70,7 @@ def small_model(env: Any, **kwargs: Any) -> Rainbow:
 def check_stored_masks(buffer: Any, n_expected: int) -> Any:
     """Every drawable transition, with the mask of the very state that its window ended in."""
     assert isinstance(buffer, PrioritizedReplayBuffer)
-    samples: Any = buffer.samples_at(np.flatnonzero(buffer.tree.leaves))
+    samples: Any = buffer._get_samples(np.flatnonzero(buffer.tree.leaves))
     assert len(samples.indices) == n_expected
     for obs, mask in zip(samples.next_observations, samples.next_action_masks, strict=True):
         np.testing.assert_array_equal(mask, mask_at(*obs.tolist()))

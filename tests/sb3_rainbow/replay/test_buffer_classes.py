@@ -40,12 +40,12 @@ def test_small_differences_of_large_numbers_are_learned_from() -> None:
     statistics: Any = env.obs_rms
     statistics.mean[:], statistics.var[:] = 1.7e9, 100.0
     buffer: Any = make(env=env, n_steps=1).learn(60).replay_buffer
-    samples = buffer.samples_at(np.arange(50), env)
+    samples = buffer._get_samples(np.arange(50), env)
     assert samples.observations.dtype == samples.next_observations.dtype == th.float32
     expected = np.clip(np.arange(51) / 10.0, -10.0, 10.0)
     assert samples.observations.ravel().numpy() == pytest.approx(expected[:50])
     assert samples.next_observations.ravel().numpy() == pytest.approx(expected[1:])
-    assert buffer.samples_at(np.arange(50)).observations.dtype == th.float32
+    assert buffer._get_samples(np.arange(50)).observations.dtype == th.float32
 
 
 SEVENS = spaces.Box(0, 99, (1,), np.int64)
@@ -70,7 +70,7 @@ def test_truncated_episodes_of_integers_end_where_they_ended(
     env = VecNormalize(DummyVecEnv([lambda: toy]), norm_obs=norm_obs)
     policy = "MultiInputPolicy" if named else "MlpPolicy"
     buffer: Any = make(policy, env, n_steps=1).learn(60).replay_buffer
-    following = buffer.samples_at(np.arange(59)).next_observations
+    following = buffer._get_samples(np.arange(59)).next_observations
     wanted = [np.ravel(shown(i % 5 + 1)) for i in range(59)]
     np.testing.assert_array_equal(following["count"] if named else following, wanted)
 

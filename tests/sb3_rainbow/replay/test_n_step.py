@@ -139,14 +139,14 @@ def check(buffer: PrioritizedReplayBuffer, world: World, kind: str = "box") -> N
     assert leaves.size == len(expected)
     if not leaves.size:
         return
-    samples: Any = buffer.samples_at(leaves)
+    samples: Any = buffer._get_samples(leaves)
     found = decode(samples.observations, kind)
     assert set(found) == set(expected)
     columns = zip(*(expected[obs] for obs in found), strict=True)
     actions, returns, discounts, dones, next_obs, masks = map(np.array, columns)
     np.testing.assert_array_equal(samples.actions[:, 0], actions)
     np.testing.assert_allclose(samples.rewards[:, 0], returns, rtol=0, atol=1e-5)
-    halves: Any = buffer.samples_at(leaves, HALVES).rewards
+    halves: Any = buffer._get_samples(leaves, HALVES).rewards
     np.testing.assert_allclose(halves[:, 0], returns / 2, rtol=0, atol=1e-5)
     np.testing.assert_allclose(samples.discounts[:, 0], discounts, rtol=1e-6)
     np.testing.assert_array_equal(samples.dones[:, 0], dones)
@@ -215,5 +215,5 @@ def test_masks_take_memory_as_they_are_stored() -> None:
     before = process.memory_info().rss
     buffer.add(obs, obs, one, one, no, [{}], np.eye(200, dtype=bool)[:1])
     assert process.memory_info().rss - before < 50e6
-    masks: Any = buffer.samples_at(np.arange(2)).next_action_masks
+    masks: Any = buffer._get_samples(np.arange(2)).next_action_masks
     assert masks.sum(dim=1).tolist() == [200, 1]
