@@ -101,10 +101,12 @@ def knowledge(method: str, track: Mapping[str, Any] | None) -> Knowledge:
     Args:
         method: of :data:`benchmarks.protocol.plan.METHODS`; any other is taken to plan.
         track: ``config["track"]`` of a run, where keys at their defaults may be missing, or
-            ``config["entry"]`` of a model on the leaderboard; None for planners that have no track.
+            ``config["entry"]`` of one on the leaderboard; None for planners that have no track.
     """
     if method in PLANNERS or track is None:
         return Knowledge("none", "its plan")
+    if track.get("sha256") == "":  # a planner of one's own
+        return Knowledge("safe" if track["mask_singularities"] else "none", "its plan")
     brought = "algorithm" in track  # a model on the leaderboard, whatever it is called
     algorithm = track.get("algorithm", method)
     remembered = []

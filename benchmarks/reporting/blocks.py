@@ -60,7 +60,11 @@ def rewrite(results: Path, blocks: Blocks) -> list[Path]:
     changed = []
     for path in pages_of(results):
         old = path.read_text(encoding="utf-8")
-        if (new := render(old, blocks)) != old:
+        try:
+            new = render(old, blocks)
+        except BenchmarkError as error:
+            raise BenchmarkError(f"{path}: {error}") from error
+        if new != old:
             write_text(path, new)
             changed.append(path)
     return changed

@@ -152,4 +152,4 @@ class Experiment(ABC, Generic[P]):
 
     def open_store(self, results: Path, create: bool = False) -> Store:
         """The experiment's store, as :meth:`~benchmarks.runs.store.Store.open` opens it."""
-        return Store.open(results / self.place, self.name, create)
+        return Store.open(results / self.place, self.name, create, self.recipe["preset"])

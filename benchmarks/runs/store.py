@@ -314,8 +314,11 @@ class Store:
         self.figures = self.folder / "figures"
 
     @classmethod
-    def open(cls, root: Path | str, preset: str, create: bool = False) -> Self:
-        """Open a store, or ``create`` it; BenchmarkError if it is missing or of another schema."""
+    def open(cls, root: Path | str, preset: str, create: bool = False, path: str = "") -> Self:
+        """Open a store, or ``create`` it; BenchmarkError if it is missing or of another schema.
+
+        ``path`` is that of a preset of one's own, by which alone a command finds it.
+        """
         store = cls(Path(root), preset)
         marker = store.folder / "store.json"
         # Listed first: whoever makes this store beside us writes the marker, from a temporary file,
@@ -340,7 +343,8 @@ class Store:
             write_text(marker, json.dumps({"schema": SCHEMA}) + "\n")
         else:
             raise BenchmarkError(
-                f"{store.folder} has no results; run: python -m benchmarks run --preset {preset}"
+                f"{store.folder} has no results; run: python -m benchmarks run --preset "
+                f"{path or preset}"
             )
         return store
 

@@ -93,7 +93,8 @@ class Study(ABC):
         study.finish()
         for path, text in cls.files(study.results).items():
             write_text(path, text)
-            console.print(text, highlight=False)
+            if path.is_relative_to(study.folder):  # not what it found out of another store
+                console.print(text, highlight=False)
         pages = blocks.rewrite(study.results, cls.blocks(study.results))
         console.print(f"Written to {', '.join(map(str, [study.folder, *pages]))}")
         return 0
@@ -278,11 +279,20 @@ def greedy(model: Any) -> Act:
 
 
 #: what of a track decides a policy's view of the nominal task
-SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refused", "task")
+SEEN: Final = (
+    "observation",
+    "mask_singularities",
+    "mask_visited",
+    "mask_refused",
+    "task",
+    "shield",
+)
 
 
 def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]:
     """The arguments of the environment that a model was trained in, and its greedy actions.
+
+    A shield is among them only where the model had one.
 
     A run's has its ``config.yaml`` beside it. BenchmarkError if the file is missing, is no model,
     or is not of the single-agent task.
@@ -295,6 +305,8 @@ def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]
     if path.name == "policy.zip" and config.is_file():  # a run's, which load_model has checked
         result = read_yaml(config)
         arguments |= {name: result["track"][name] for name in SEEN if name in result["track"]}
+        if arguments.get("shield") is None:
+            arguments.pop("shield", None)
         own = result.get("dimensions")
         arguments["geometry"] = RRSGeometry(**own) if own else result["cell"]["geometry"]
     return arguments, greedy(model)

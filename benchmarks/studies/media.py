@@ -17,6 +17,7 @@ from PIL import Image
 
 from benchmarks.errors import TRUSTED, BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.methods.team.env import make_env
 from benchmarks.runs.store import write_atomic
 from benchmarks.studies.base import Act, Part, Study, Tick, count, episode, stored_player
 from coop_env.env import CoopInsertionEnv
@@ -62,7 +63,7 @@ def player(
 
 def watch(arguments: argparse.Namespace) -> None:
     """Let the optimum or a model play in the browser until the view is closed."""
-    make = partial(_twin, arguments.results) if arguments.twin else CoopInsertionEnv
+    make = partial(_twin, arguments.results) if arguments.twin else make_env
     env, act = player(arguments.model, arguments.trust, make, geometry=arguments.geometry)
     try:
         view(env, act, host=arguments.host, port=arguments.port)
@@ -73,6 +74,8 @@ def watch(arguments: argparse.Namespace) -> None:
 def _twin(results: Path, **shown: Any) -> CoopInsertionEnv:
     from benchmarks.studies.robots.trials import inserter
 
+    if "shield" in shown:
+        raise BenchmarkError("--twin: the model was trained under a shield, which the twin lacks")
     try:
         from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
     except DependencyNotInstalled as missing:
@@ -123,7 +126,7 @@ class Media(Study):
 
     def _draw(self, tick: Tick) -> None:
         given = self.given
-        env, act = player(given.model, given.trust, CoopInsertionEnv, geometry=given.geometry)
+        env, act = player(given.model, given.trust, make_env, geometry=given.geometry)
         scenes = play(env, given.seed, act)
         still = render_frame(telling_moment(scenes), size=SCENE_SIZE, samples=4)
         picture = Image.fromarray(still)

@@ -20,6 +20,7 @@ from rich.console import Console
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.methods.team.env import make_env
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save
@@ -87,7 +88,7 @@ def stored(path: Path) -> tuple[dict[str, Any], Play]:
 
 def played(arguments: dict[str, Any], play: Play, seed: int) -> Way:
     """The way of one episode, and what it filled; a move that was refused adds nothing to it."""
-    env = CoopInsertionEnv(**arguments)
+    env = make_env(**arguments)
     act = play(env)
     steps = episode(env, lambda seen: act(seen, env.action_masks()), seed=seed)
     target, first, way = int(next(steps)["target"]), 0, [env.configuration]

@@ -64,7 +64,7 @@ def leaderboard(results: Results) -> Table:
         models = len({run.config["entry"]["sha256"] for run in runs} - {""})
         brought.append(f"{name} ({entry['algorithm']}{f', models: {models}' if models else ''})")
         by_seed = tuple(sorted(runs, key=attrgetter("seed")))
-        shown.append(Group(name, settings=entry if models else None, runs=by_seed))
+        shown.append(Group(name, settings=entry, runs=by_seed))
     shown.sort(key=lambda row: (-row.success().mean, -row.value(HOLES).mean, row.name))
     shown.sort(key=lambda row: row.method != "optimum")
     made: list[list[TableCell]] = []

@@ -5,6 +5,7 @@ its own, none of which was ever trained on; then it is a few episodes per seed, 
 the track's own machine. The store stays as it is, the episodes go to ``results/again/``.
 """
 
+import math
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -157,8 +158,9 @@ def score_again(replay: Replay, console: Console) -> int:
 def in_words(rows: pd.DataFrame, name: str) -> Iterator[str]:
     """One line per level of noise: the paper's metrics, and holes."""
     for noise, group in rows.groupby("noise"):
-        parts = [
-            f"{metric.label} {metric.reduce(group):.{metric.digits}f}"
-            for metric in (*PAPER_METRICS, *EXTRA_METRICS)
+        values = {metric: metric.reduce(group) for metric in (*PAPER_METRICS, *EXTRA_METRICS)}
+        parts = [  # what only insertions have is nowhere without one
+            f"{metric.label} {'-' if math.isnan(value) else f'{value:.{metric.digits}f}'}"
+            for metric, value in values.items()
         ]
         yield f"{name}, noise {noise:g}: {'; '.join(parts)}"

@@ -247,6 +247,7 @@ VISITED = {**SAFE, "mask_visited": 64}
         ("dqn", {"observation": "markov"}, "none", "filled holes and time"),
         ("optimum", None, "none", "its plan"),
         ("plan_search", VISITED, "none", "its plan"),
+        ("mine", {"algorithm": "mine:plan", "sha256": "", **SAFE}, "safe", "its plan"),
     ],
 )  # fmt: skip
 def test_who_has_a_memory_says_so(

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.cli import main
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting import blocks
@@ -271,6 +272,13 @@ def test_a_store_of_a_preset_of_ones_own_is_named(copy: Path, done: Command) -> 
     for command, said in (("verify", "not looked at"), ("report", "left out")):
         out = done(command, "--results", str(copy / "other"))
         assert f"{alone}: {said}; --preset FILE says what is in it" in out
+
+
+def test_a_page_that_includes_what_is_not_there_is_named(copy: Path) -> None:
+    page, results = copy / "README.md", copy / "results"
+    page.write_text("<!-- include:begin results/none.md -->\n<!-- include:end -->\n", "utf-8")
+    with pytest.raises(BenchmarkError, match=f"^{page}: results/none.md is no file of"):
+        blocks.rewrite(results, {"include": blocks.include(results)})
 
 
 def test_a_report_rewrites_the_readme(

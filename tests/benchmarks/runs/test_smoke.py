@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.cli import main
+from benchmarks.protocol.presets import PRESETS
 from benchmarks.reporting.results import Results
 from benchmarks.runs.store import SCHEMA, Store
 from tests.benchmarks.conftest import Command
@@ -193,6 +194,12 @@ def test_an_interrupt_that_meets_a_kernel_is_an_interrupt(here: Path) -> None:
         cause = ValueError()
         with pytest.raises(SystemError):
             main(["plan", "--preset", "smoke"])
+
+
+def test_advice_names_a_preset_of_ones_own_by_its_path(here: Path, refused: Command) -> None:
+    own = here / "mine.yaml"
+    shutil.copy(PRESETS / "tiny.yaml", own)
+    assert f"benchmarks run --preset {own}\n" in refused("tables", "--preset", str(own))
 
 
 @pytest.mark.slow

@@ -173,6 +173,7 @@ def test_another_observation_is_found_out(train: Train, tmp_path: Path, done: Co
 def test_a_glance_stores_nothing(train: Train, tmp_path: Path, done: Command) -> None:
     out = done(*command(tmp_path, "--model", train("ppo"), "--episodes", "1"))
     assert "seed 0, noise 0.01: Success rate (%)" in out
+    assert "Avg. completion time (s) -; " in out
     assert "Nothing was stored" in out
     assert list(tmp_path.iterdir()) == []
 

@@ -1,5 +1,6 @@
 """The command that writes the README's picture and the animation."""
 
+import shutil
 import socket
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,12 +11,16 @@ import pytest
 from PIL import Image
 
 from benchmarks.cli import main
+from benchmarks.methods.team.env import make_env
 from benchmarks.studies import media
 from benchmarks.studies.base import episode
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.viewer import Act, Viewer
+from coop_env.shield import ShieldedInsertionEnv
 from tests.benchmarks.conftest import Command
+from tests.process import ROOT
 
+RESULTS = ROOT / "results"
 SIZE = (160, 128)
 
 
@@ -47,6 +52,16 @@ def test_a_policy_is_shown_on_its_own_robot_by_default(
     for given, shown in ((None, "initial"), ("optimized", "optimized")):
         env: Any = media.player(Path("policy.zip"), False, make, geometry=given)[0]
         assert env.geometry == shown
+
+
+def test_a_policy_plays_under_its_own_shield(tmp_path: Path) -> None:
+    for name in ("policy.zip", "config.yaml"):
+        shutil.copy(RESULTS / "cut" / "runs" / "rainbow-optimized-safe-s0" / name, tmp_path)
+    config = tmp_path / "config.yaml"
+    text = config.read_text("utf-8")
+    config.write_text(text.replace("track:\n", "track:\n  shield: {}\n"), "utf-8")
+    env, _ = media.player(tmp_path / "policy.zip", False, make_env)
+    assert isinstance(env, ShieldedInsertionEnv)
 
 
 def test_optimum_plans_anew_where_it_is_put() -> None:

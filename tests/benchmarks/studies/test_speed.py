@@ -16,7 +16,7 @@ from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.store import Store
 from benchmarks.studies import catalogue, speed
-from benchmarks.studies.base import Measured
+from benchmarks.studies.base import Measured, Study
 from benchmarks.studies.speed import in_turns, measure_updates
 from sb3_rainbow import Rainbow
 from tests.benchmarks.conftest import Command
@@ -168,6 +168,25 @@ def test_an_edited_study_is_measured_again(tmp_path: Path, monkeypatch: pytest.M
     assert list(kind(given).parts()) == []
     path.write_text(OWN + "# better\n", encoding="utf-8")
     assert list(kind(given).parts()) == ["5"]
+
+
+def test_a_study_prints_what_it_found_and_no_other_stores(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Two(Study):
+        name = "two"
+
+        def parts(self) -> dict[str, Any]:
+            return {}
+
+        @classmethod
+        def files(cls, results: Path) -> dict[Path, str]:
+            return {results / name / "a.md": f"of {name}" for name in ("two", "three")}
+
+    assert Two.main(["--results", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "of two" in out
+    assert "of three" not in out
 
 
 def test_failures_are_of_robots_that_take_turns(tmp_path: Path, refused: Command) -> None:
