@@ -67,7 +67,7 @@ figures: $(STAMP) ## Regenerate the figures and numbers of README, design, resul
 	@$(BIN)/python -m benchmarks study design
 	@$(BIN)/python -m benchmarks report --preset paper
 	@$(BIN)/python -m benchmarks report --preset cut
-	@$(BIN)/python -m benchmarks report --preset support
+	@for preset in support scale grid; do $(BIN)/python -m benchmarks report --preset $$preset || exit 1; done
 	@$(BIN)/python -m benchmarks study media
 	@$(BIN)/python -m benchmarks study audit
 	@$(BIN)/python -m benchmarks study failures

@@ -56,7 +56,7 @@ class CoopInsertionEnv(Rendered):
     **Observation Space**
 
     ``Box(0, 1, (12,), float32)``, or ``(19,)`` with ``observation="markov"``. Each field is scaled
-    from its bounds to [0, 1] and clipped. ``normalize=False`` leaves SI units, unclipped. The
+    from its bounds to [0, 1] and clipped. ``normalize=False`` leaves SI units. The
     bounds follow the geometry.
 
     =======  ==========================================================  =======  =================

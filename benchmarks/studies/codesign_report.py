@@ -158,7 +158,7 @@ def _searched(result: SearchResult) -> Table:
         f"interval by resampling designs. Good from {GOOD:g}, rough from {FAIR:g}.",
     ]
     title = "Designs by the exact optimum, both robots moving at once"
-    head = "Study | Bounds (m) | Scored | Skipped | On the front | A_w as a proxy for success"
+    head = "Study | Bounds | Scored | Skipped | On the front | A_w as a proxy for success"
     return Table("search", title, head.split(" | "), rows, notes, left=(0, 1))
 
 
