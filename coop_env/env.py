@@ -93,9 +93,9 @@ class CoopInsertionEnv(Rendered):
     **Starting State**
 
     sigma_min is the least singular value of the 3-RRS's Jacobian. It is 0 at a type II singularity.
-    Roll and pitch are uniform within +-0.5 rad, among poses with a sigma_min of at least 0.15.
-    Heave is uniform over its range. x and y are uniform within +-0.06 m. The tip is 0.05 to 0.15 m
-    above the dome's apex. The start is valid and free of collision. The target is uniform over the
+    Roll and pitch within +-0.5 rad, heave over its range, x and y within +-0.06 m and the tip 0.05
+    to 0.15 m above the dome's apex are drawn uniformly, all anew until the start is valid, free of
+    collision and has a sigma_min of at least 0.15. The target is uniform over the
     open holes. ``reset(options=...)`` takes ``configuration`` (x, y, z, roll, pitch, heave),
     ``target`` (a hole) and ``filled`` (holes that count as filled).
 

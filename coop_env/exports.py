@@ -20,7 +20,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ArgumentError, imports
+from coop_env.errors import ArgumentError, ResetOptionError, imports
+from coop_env.geometry import GeometryError
 from coop_env.physics.joints import Floats, tree_angles
 from coop_env.physics.model import DELTA_RANGE, Machine, to_xml
 from coop_env.physics.twin import make_model
@@ -54,12 +55,15 @@ def links(machine: Machine | None = None) -> list[Link]:
     """All links of both robots at home, the bases first, the rest as they are drawn.
 
     Raises:
-        GeometryError: a robot cannot be assembled.
+        GeometryError: a robot cannot be assembled, or collides at home.
         ArgumentError: the holes do not fit the dome.
     """
     m = Machine() if machine is None else machine
     env = CoopInsertionEnv(m.rrs, delta=m.delta, task=m.task)
-    env.reset(seed=0, options={"configuration": m.home()})
+    try:
+        env.reset(seed=0, options={"configuration": m.home()})
+    except ResetOptionError as refused:
+        raise GeometryError(f"the machine cannot stand at home: {refused}") from refused
     parts: dict[str, list[Body]] = {}
     for part in bodies(replace(env.scene(), target=-1)):  # no hole is aimed at
         parts.setdefault(part.name.split("/")[0], []).append(part)

@@ -108,9 +108,10 @@ class DesignProblem:
         return (2.0 * self.extent / self.cells) ** 2
 
     def geometry(self, lambda1: float, lambda2: float) -> RRSGeometry:
-        """The machine of a design vector, with this problem's scale and limits.
+        """The machine of a design vector, with this problem's scale, distal length, joint limits.
 
-        It can heave as the paper's designs do, and to all of this problem's heaves.
+        It can heave as the paper's designs do, and to all of this problem's heaves. ``max_tilt``
+        and the drives are the class's defaults: ``dataclasses.replace`` them.
 
         Raises:
             GeometryError: the paper's constraints are broken.

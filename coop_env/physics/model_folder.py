@@ -42,7 +42,8 @@ def describe(machine: Machine) -> str:
         "",
         "The platform hangs on the 3-RRS's limb 0 by a ball joint and on the other two by "
         "`connect` equalities between sites; the Delta's effector moves on three slides, tied to "
-        "its three rods, each on a universal joint: 21 degrees of freedom, six of them actuated "
+        "its three rods, each on a universal joint: "
+        f"{23 if machine.effector_play > 0.0 else 21} degrees of freedom, six of them actuated "
         "by position servos. The dome is convex in parts: eight staves around each bore, prisms "
         "elsewhere.",
         "",
@@ -64,7 +65,7 @@ def rows(m: Machine) -> Iterator[Row]:
         for name in names:
             value = f"{getattr(geometry, name):g} m"
             yield f"{owner}, {name}", value, f"`coop_env.geometry.{type(geometry).__name__}`"
-    for name in ("dome_radius", "effector_radius", "forearm_radius", "limb_radius"):
+    for name in ("dome_radius", "effector_radius", "forearm_radius", "spoke_radius", "limb_radius"):
         yield name, f"{getattr(m.task, name):g} m", "`coop_env.InsertionTask`: collision bodies"
     holes = ", ".join(f"({polar:.4g}, {azimuth:.4g})" for polar, azimuth in m.task.holes)
     yield "holes: polar angle, azimuth", f"{holes} rad", "`coop_env.InsertionTask`"

@@ -198,7 +198,8 @@ def start_configurations(machine: Machine, height: float) -> Floats:
     if not good.any():
         raise GeometryError(
             "the 3-RRS can turn no hole upright with sigma_min of at least "
-            f"{machine.task.start_sigma:g}: choose another geometry or other holes"
+            f"{machine.task.start_sigma:g} and {1e3 * HEAVE_ROOM:g} mm of heave left both ways: "
+            "choose another geometry, a wider range of heave, or other holes"
         )
     result = np.concatenate([effector[best], poses[best]], axis=1)
     return np.where(good[:, None], result, np.nan)

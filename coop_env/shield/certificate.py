@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.compilation import njit
+from coop_env.errors import ArgumentError
 from coop_env.shield.kernels import free_share, is_certified, way_point
 from coop_env.shield.shield import Floats, KinematicShield
 from coop_env.simulation.collision import ceiling, lowest
@@ -119,12 +120,20 @@ def certify_lattice(
 
     Where all of the Delta hangs above all of the 3-RRS the robots do not concern each other, and
     each robot's points are looked at beside one of the other's.
+
+    Raises:
+        ArgumentError: of the Delta's high points none is certified beside the flat platform.
     """
     delta, rrs = lattice(params, origin)
     near = near_points(shield, params, delta)
     low, high = delta[near], delta[~near]
     home = np.array([[0.0, 0.0, origin[5]]])
     alone = np.array([p for p in high if shield.is_certified([*p, *home[0]])][:1])
+    if len(high) > len(alone) == 0:
+        raise ArgumentError(
+            f"origin: with the platform flat at its heave, {origin[5]:g} m, no point is certified, "
+            "so that moves high above it cannot be looked at: choose another origin"
+        )
     total = check_product(shield, params, high, home)
     for i in range(0, len(rrs), CHUNK):
         some = rrs[i : i + CHUNK]

@@ -84,8 +84,10 @@ class SimToReal:
         }  # fmt: skip
         for name, limit in limits.items():
             keep_number(self, name, 0.0, limit)
-        check_integer("SimToReal.latency", self.latency, 0, 1, hint=" step")
-        check_flag("SimToReal.randomize", self.randomize)
+        # plain ones, by whose text snapshots tell environments apart
+        latency = check_integer("SimToReal.latency", self.latency, 0, 1, hint=" step")
+        object.__setattr__(self, "latency", latency)
+        object.__setattr__(self, "randomize", check_flag("SimToReal.randomize", self.randomize))
 
     @property
     def active(self) -> bool:

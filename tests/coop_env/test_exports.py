@@ -14,10 +14,10 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from coop_env import CoopInsertionEnv
+from coop_env import CoopInsertionEnv, InsertionTask
 from coop_env.errors import ArgumentError
 from coop_env.exports import links, save_glb, save_sdf, save_stl
-from coop_env.geometry import DeltaGeometry
+from coop_env.geometry import DeltaGeometry, GeometryError
 from coop_env.kinematics import delta, rrs
 from coop_env.physics.model import Machine
 from coop_env.physics.twin import make_model
@@ -58,6 +58,8 @@ def test_millimetres_are_a_thousand_times_as_many(tmp_path: Path) -> None:
     rod, balls = large["delta_rod0_left"], 2 * 7.2
     assert rod.extents[0] == pytest.approx(1000.0 * Machine().delta.distal_length + balls, abs=0.2)
     assert rod.is_watertight
+    with pytest.raises(GeometryError, match="cannot stand at home"):
+        links(Machine(task=InsertionTask(effector_radius=0.2)))
     with pytest.raises(ArgumentError, match="unit = 'inch'"):
         save_stl(tmp_path / "no", unit="inch")
     assert not (tmp_path / "no").exists()

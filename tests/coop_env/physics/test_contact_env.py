@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -12,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from coop_env.errors import ActionError, ArgumentError, ResetOptionError
-from coop_env.geometry import GeometryError
+from coop_env.geometry import OPTIMIZED, GeometryError
 from coop_env.kinematics import delta, rrs
 from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEnv
 from coop_env.physics.model import Servos
@@ -270,6 +271,9 @@ def test_arguments_that_cannot_be(kind: Any) -> None:
 def test_holes_that_cannot_be_turned_upright() -> None:
     with pytest.raises(GeometryError, match="upright"):
         CoopInsertionContactEnv(holes={"holes": [[1.2, 0.0]]})
+    narrow = replace(OPTIMIZED, heave_max=0.2199)
+    with pytest.raises(GeometryError, match="5 mm of heave left both ways"):
+        CoopInsertionContactEnv(geometry=narrow)
     # the initial geometry's singularity lies at its 30-degree holes
     starts = CoopInsertionContactEnv(geometry="initial").batch.starts
     assert np.isfinite(starts).all(axis=1).tolist() == [False] * 4 + [True] * 2

@@ -14,7 +14,7 @@ from coop_env.errors import ArgumentError
 from coop_env.geometry import DeltaGeometry, GeometryError, RRSGeometry
 from coop_env.physics.dome import Bore, dome_solids, staves
 from coop_env.physics.model import Machine, Peg, Servos
-from coop_env.physics.model_folder import MODEL, README, rows, save_model
+from coop_env.physics.model_folder import MODEL, README, describe, rows, save_model
 from coop_env.physics.twin import Twin, make_model
 from coop_env.simulation.insertion_task import PAPER_TASK
 
@@ -101,7 +101,9 @@ def test_the_platforms_weight_is_plates_and_domes(opened: mujoco.MjModel) -> Non
 @pytest.mark.parametrize("play", [0.0, 0.01])
 def test_the_effector_tilts_by_its_play(play: float) -> None:
     """Pushed at its tip, to the side and hard."""
-    model = make_model(Machine(effector_play=play))
+    machine = Machine(effector_play=play)
+    model = make_model(machine)
+    assert f"{model.nv} degrees of freedom" in describe(machine)
     data = mujoco.MjData(model)
     for _ in range(500):
         mujoco.mj_forward(model, data)

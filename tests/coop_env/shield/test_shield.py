@@ -14,6 +14,7 @@ from coop_env.errors import ActionError, ArgumentError
 from coop_env.geometry import OPTIMIZED
 from coop_env.kinematics import rrs
 from coop_env.shield import KinematicShield, ShieldedInsertionVecEnv, ShieldMargin, ShieldWrapper
+from coop_env.shield.certificate import certify_lattice
 from coop_env.simulation.state import VALID
 
 COLLISION = 2
@@ -229,6 +230,12 @@ def test_other_environments_and_numbers_are_refused(shield: KinematicShield) -> 
         shield.certify([0.0] * 5, [0.0] * 6)
     with pytest.raises(ActionError, match="action = "):
         shield.certify([0.0] * 6, [np.nan] * 6)
+
+
+def test_a_certificate_that_would_leave_moves_out_is_refused(env: CoopInsertionEnv) -> None:
+    strict = KinematicShield(env, ShieldMargin(sigma=1.0))  # more than the flat platform has
+    with pytest.raises(ArgumentError, match="choose another origin"):
+        certify_lattice(strict, env.params, np.array([0.0, 0.0, -0.35, 0.0, 0.0, 0.22]))
 
 
 ARGUMENTS: dict[str, Any] = {"reward": "progress", "mask_singularities": True}

@@ -114,6 +114,15 @@ def test_a_configuration_in_a_hole_may_be_named_with_knobs_too() -> None:
     assert noisy.state["inside"].any()
 
 
+def test_equal_knobs_share_their_snapshots() -> None:
+    knobs: Any = {"latency": np.int64(1), "randomize": np.True_, "backlash": 0.01}
+    env = CoopInsertionEnv(sim_to_real=SimToReal(**knobs))
+    other = CoopInsertionEnv(sim_to_real=SimToReal(latency=1, randomize=True, backlash=0.01))
+    env.reset(seed=0)
+    other.set_state(env.get_state())
+    assert env.state.tobytes() == other.state.tobytes()
+
+
 def test_latency_executes_the_previous_action() -> None:
     late = CoopInsertionEnv(sim_to_real=SimToReal(latency=1))
     late.reset(seed=0)
