@@ -106,7 +106,7 @@ def knowledge(method: str, track: Mapping[str, Any] | None) -> Knowledge:
     if method in PLANNERS or track is None:
         return Knowledge("none", "its plan")
     if track.get("sha256") == "":  # a planner of one's own
-        return Knowledge("safe" if track["mask_singularities"] else "none", "its plan")
+        return Knowledge("safe" if track.get("mask_singularities") else "none", "its plan")
     brought = "algorithm" in track  # a model on the leaderboard, whatever it is called
     algorithm = track.get("algorithm", method)
     remembered = []

@@ -292,8 +292,6 @@ SEEN: Final = (
 def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]:
     """The arguments of the environment that a model was trained in, and its greedy actions.
 
-    A shield is among them only where the model had one.
-
     A run's has its ``config.yaml`` beside it. BenchmarkError if the file is missing, is no model,
     or is not of the single-agent task.
     """
@@ -304,9 +302,8 @@ def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]
     config = path.with_name("config.yaml")
     if path.name == "policy.zip" and config.is_file():  # a run's, which load_model has checked
         result = read_yaml(config)
-        arguments |= {name: result["track"][name] for name in SEEN if name in result["track"]}
-        if arguments.get("shield") is None:
-            arguments.pop("shield", None)
+        told = result["track"].items()  # None is what the environment has by default
+        arguments |= {name: value for name, value in told if name in SEEN and value is not None}
         own = result.get("dimensions")
         arguments["geometry"] = RRSGeometry(**own) if own else result["cell"]["geometry"]
     return arguments, greedy(model)
