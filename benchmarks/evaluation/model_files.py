@@ -122,7 +122,10 @@ def load_stored(path: Path) -> Any:
 
 
 def set_weights(model: BaseAlgorithm, path: Path) -> None:
-    """Give a model the policy's arrays of a file that SB3 saved, and open none of its pickles."""
+    """Give a model the policy's arrays of a file that SB3 saved, and open none of its pickles.
+
+    SB3 below 2.8, which setup.cfg excludes, would open them.
+    """
     try:
         _, parameters, _ = load_from_zip_file(path, load_data=False, device="cpu")
     except pickle.UnpicklingError as error:  # torch's own words tell how to run it

@@ -80,7 +80,7 @@ class ShieldMargin:
 
 
 _CHANGING = gym.ActionWrapper, getattr(gym.wrappers, "RepeatAction", gym.ActionWrapper)
-"""Wrappers that change actions or make one several times; the second is not in Gymnasium 1.1."""
+"""Wrappers that change actions or make one several times; the second is new in Gymnasium 1.3."""
 
 
 class KinematicShield:

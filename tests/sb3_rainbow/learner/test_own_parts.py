@@ -99,7 +99,7 @@ def flattened(model: Rainbow) -> None:
         net.features_extractor.flatten = nn.Sequential(nn.Flatten(), nn.Tanh())
 
 
-@pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.*torch.jit.script")
 @pytest.mark.filterwarnings("ignore:Guards may run slower on Python 3.13.0")  # torch.compile's
 @pytest.mark.parametrize(
     ("policy", "kwargs", "change"),
