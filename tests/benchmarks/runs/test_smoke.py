@@ -125,6 +125,7 @@ def test_runs_of_other_settings_are_neither_played_nor_made_again(
         assert "track.mask_visited: 0 -> 8" in refused(*words)
 
 
+@pytest.mark.usefixtures("warm")  # compiling kernels would report itself on stderr too
 def test_a_full_disk_is_one_error(tmp_path: Path, refused: Command) -> None:
     full = OSError(errno.ENOSPC, "No space left on device", "episodes.csv")
     words = ["--preset", "smoke", "--results", str(tmp_path), "--cell", "rrt_connect-optimized-s0"]
