@@ -43,11 +43,13 @@ class Study(ABC):
         needs: modules that an extra brings, and the extra.
     """
 
-    name: ClassVar[str]
+    name: ClassVar[str] = ""
     options: ClassVar[Mapping[str, Option]] = {}
     needs: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, given: argparse.Namespace) -> None:
+        if not self.name:
+            raise BenchmarkError(f"{type(self).__name__} needs name, the name of the study")
         self.given, self.results = given, Path(given.results)
         self.folder = self.results / self.name
 
@@ -163,7 +165,7 @@ class Measured(OfOneFile):
     def __init__(self, given: argparse.Namespace) -> None:
         super().__init__(given)
         if not self.file:
-            raise BenchmarkError(f"{type(self).__name__} needs file: its JSON's below the results")
+            raise BenchmarkError(f"{type(self).__name__} needs file, its JSON below the results")
         self.path = self.results / self.file
         self.folder = self.path.parent
         self.result: dict[str, Any] = {"asked": json.loads(_as_json(self.asked())), "parts": {}}

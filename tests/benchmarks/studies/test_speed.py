@@ -84,17 +84,17 @@ def test_each_learner_of_images_is_measured() -> None:
 
 def test_a_study_says_before_it_measures_what_it_lacks(tmp_path: Path) -> None:
     class Nameless(Measured):
-        name = "nameless"
-
         def measures(self) -> dict[str, Any]:
             raise AssertionError("measured")
 
     given = argparse.Namespace(results=tmp_path, command="")
     with pytest.raises(TypeError, match="to_markdown"):
         Nameless(given)  # type: ignore[abstract]
-    kind = type("Nameless", (Nameless,), {"to_markdown": staticmethod(str)})
-    with pytest.raises(BenchmarkError, match="Nameless needs file"):
-        kind(given)
+    has = {"to_markdown": staticmethod(str)}
+    for missing, more in (("name", {}), ("file", {"name": "nameless"})):
+        kind = type("Nameless", (Nameless,), has | more)
+        with pytest.raises(BenchmarkError, match=f"Nameless needs {missing}"):
+            kind(given)
 
 
 @pytest.mark.parametrize(
