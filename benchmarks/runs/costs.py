@@ -25,7 +25,7 @@ def measure(experiment: Experiment, stores: Iterable[Store]) -> Measured:
     """The complete runs, without those that this version cannot read."""
     result: Measured = []
     for run in (run for store in stores for run in store.completed()):
-        with suppress(BenchmarkError, KeyError, TypeError):
+        with suppress(BenchmarkError, AttributeError, KeyError, TypeError, ValueError):
             config = run.config()
             result.append((experiment.kind(config), run.seconds(), experiment.units(config)))
     return result

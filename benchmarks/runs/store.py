@@ -214,10 +214,10 @@ class RunFolder:
         meta, name = self.meta(), f"{clock}_seconds"
         # runs of the classic tasks once kept it with the training alone
         seconds = meta.get(name) or meta.get("training", {}).get(name)
-        if seconds is None:
+        if not isinstance(seconds, int | float):
             raise BenchmarkError(
-                f"{self.path / 'meta.json'} lacks '{name}'; delete {self.path} and run the preset "
-                "again"
+                f"{self.path / 'meta.json'} lacks '{name}', a number; delete {self.path} and run "
+                "the preset again"
             )
         return float(seconds)
 

@@ -48,7 +48,7 @@ def play(
             singular = bool(episode.move(action)["singular"])
             trail.append(env.state["offset"].tobytes())
         success = bool(episode.insertions)
-        causes = (plan.moves is None, singular, len(set(trail[-RECENT:])) <= FEW, True)
+        causes = (plan.status == "infeasible", singular, len(set(trail[-RECENT:])) <= FEW, True)
         cause = next(name for name, holds in zip(CAUSES, causes, strict=True) if holds)
         rows.append({
             "seed": cell.seed, "episode": episode.number, "start": episode.start, "target": target,
@@ -123,7 +123,8 @@ class Failures(Study):
         model = load_stored(run.policy)
         # the share that it solved in the last tenth of its training, with its exploration
         acting = tail_mean(run.curve("success"), "success")
-        oracle = LatticeOracle(real=self.preset.tracks[cell.track].sim_to_real is not None)
+        real = self.preset.tracks[cell.track].sim_to_real is not None
+        oracle = LatticeOracle(self.preset.planner.node_limit, real)
         played = play(self.preset, cell, model, oracle, tick)
         self.rows += [{**row, "acting": acting} for row in played]
 

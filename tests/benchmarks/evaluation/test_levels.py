@@ -109,6 +109,17 @@ def test_a_script_that_explores_makes_one_move_of_twenty_at_random() -> None:
     assert set(np.unique(moves)) == {3, 4}
     assert np.mean(moves == 4) == pytest.approx(0.025, abs=0.004)
 
+    def last(running: list[int]) -> list[int]:
+        """Moves of the last of these episodes, whichever others are still running."""
+        choose = with_random_moves(
+            lambda o, m, i: np.full(len(i), 3), [np.random.default_rng(n) for n in range(2)]
+        )
+        seen = np.empty((len(running), 12), np.float32)
+        return [int(choose(seen, masks[: len(running)], running)[-1]) for _ in range(200)]
+
+    assert last([1]) == last([0, 1])
+    assert last([1]) != last([0])
+
 
 @pytest.mark.parametrize("method", ["rainbow", "maskable_ppo", "greedy", "plan_search", "optimum"])
 def test_on_an_uncertain_machine_all_play_at_each_error(method: str, preset: Preset) -> None:

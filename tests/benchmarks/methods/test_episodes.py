@@ -1,6 +1,7 @@
 """Test episodes: what each metric counts, common initial states, noise that repeats."""
 
 import dataclasses
+import itertools
 from typing import Any
 
 import numpy as np
@@ -8,15 +9,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.evaluation.evaluate import Condition, Rows, begin_episodes, by_policy
+from benchmarks.evaluation.evaluate import (
+    Condition,
+    Rows,
+    begin_episodes,
+    by_policy,
+    follow,
+    in_turn,
+    play,
+)
 from benchmarks.methods.base import Policy
-from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame
+from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame, env_arguments
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from coop_env.env import CoopInsertionEnv
-from coop_env.geometry import GEOMETRIES
+from coop_env.geometry import GEOMETRIES, RRSGeometry
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.trajectory import make_trajectory
+from tests.benchmarks.smoke import smoke_preset
 
 ARGUMENTS: dict[str, Any] = {"reward": "progress", "max_moves": 40}
 COORDINATE = st.floats(-1.0, 1.0)
@@ -90,6 +102,48 @@ def test_an_insertion_is_measured_where_it_happens_and_each_entry_after_it_count
     assert episode.row()["duplicates"] == sum(info["duplicate"] for info in infos) == 3
 
 
+def test_a_row_keeps_the_first_insertion_beside_the_end() -> None:
+    env = CoopInsertionEnv(reward="progress", mask_singularities=False)
+    episode, rng = Episode(env, 0, episode_seeds(0, 1)[0]), np.random.default_rng(0)
+    oracle, infos, seconds = LatticeOracle(), list[dict[str, Any]](), list[float]()
+    for holes in (1, 2):
+        while len(episode.insertions) < holes:
+            moves: Any = oracle.plan(env).moves
+            infos.append(episode.move(int(rng.integers(12) if rng.random() < 0.3 else moves[0])))
+        seconds.append(episode.seconds_first({}))
+    infos += [episode.move(move) for move in (4, 5)]
+    row = episode.row()
+    first, second = (k for k, info in enumerate(infos) if info["inserted"])
+    assert row["insertion_moves"] == f"{first + 1};{second + 1}"
+    assert (row["holes"], row["all_holes"], row["singular"]) == (2, False, False)
+    assert row["time_per_hole"] == pytest.approx(infos[second]["time"] / 2)
+    angles = np.degrees([infos[k]["alignment_error"] for k in (first, second)])
+    assert row["alignment_error_all"] == pytest.approx(angles.mean())
+    before = sum(info["collision"] for info in infos[: first + 1])
+    assert (row["collisions_first"], row["energy_first"]) == (before, infos[first]["energy"])
+    assert row["collisions"] > before
+    assert row["energy"] > infos[first]["energy"]
+    assert seconds[0] == seconds[1]
+    fallen = Episode(env, 0, 0)
+    while not fallen.over:
+        fallen.move(8)
+    assert fallen.row()["singular"]
+
+
+def test_an_episodes_environment_is_the_tracks() -> None:
+    sizes = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
+    own: dict[str, Any] = {"mask_visited": 3, "shield": {}, "collision": "terminate"}
+    rewards = {"reward_kwargs": {"step_cost": 0.5}}
+    preset = smoke_preset(geometries={"mine": sizes}, track=own | rewards)
+    cell = Cell("greedy", "full", "mine", "safe", 0)
+    arguments = env_arguments(preset, cell, preset.tracks["safe"])
+    assert {name: arguments[name] for name in own} == own
+    assert arguments["reward_kwargs"]["step_cost"] == 0.5
+    assert arguments["geometry"] == RRSGeometry(**sizes)
+    at_once = Cell("optimum_at_once", "full", "optimized", "", 0)
+    assert env_arguments(preset, at_once)["team"] == "central"
+
+
 def test_initial_states_depend_on_seed_and_episode_alone() -> None:
     def starts(seed: int, reward: str) -> list[object]:
         arguments = {"reward": reward}
@@ -98,6 +152,12 @@ def test_initial_states_depend_on_seed_and_episode_alone() -> None:
     assert starts(0, "paper") == starts(0, "progress")
     assert not set(starts(0, "progress")) & set(starts(1, "progress"))
     assert len(set(starts(0, "progress"))) == 5
+
+
+def test_no_two_streams_or_seeds_share_a_start() -> None:
+    sets: list[dict[str, Any]] = [{"stream": s} for s in ("final", "test", "validate")]
+    seeds = [episode_seeds(n, 50, **which) for n in (0, 1) for which in [*sets, {"starts": 7}]]
+    assert len(set(itertools.chain(*seeds))) == 8 * 50
 
 
 def run_policy(policy: Policy, episodes: list[Episode], noise: float) -> Rows:
@@ -137,6 +197,20 @@ def test_noise_is_what_it_says_and_stays_in_range() -> None:
     assert (noisy - clean)[inside].std() == pytest.approx(0.01, rel=0.1)
 
 
+def test_each_condition_has_all_episodes_and_seconds_where_nothing_is_noisy() -> None:
+    preset, report = load_preset("smoke"), list[float]()
+    player = in_turn(lambda episode: follow(episode, LatticeOracle().plan))
+    both = [Condition({**ARGUMENTS, "max_moves": 60}, noise) for noise in (0.0, 0.01)]
+    rows = play(player, preset, 3, both, report.append)
+    assert [row["reset_seed"] for row in rows] == 2 * episode_seeds(3, 2, "validate")
+    assert [row["noise"] for row in rows] == [0.0, 0.0, 0.01, 0.01]
+    assert all(row["success"] for row in rows)
+    assert [str(row["seconds_first"]) == "nan" for row in rows] == [False, False, True, True]
+    assert report == [0.25, 0.5, 0.75, 1.0]
+    others = play(player, preset, 3, both[:1], starts=7)
+    assert [row["reset_seed"] for row in others] == episode_seeds(3, 2, starts=7)
+
+
 def test_seconds_to_the_first_insertion_are_those_of_the_joints_trajectory() -> None:
     env = CoopInsertionEnv(reward="progress", mask_singularities=False)
     episode = Episode(env, 0, episode_seeds(0, 1)[0])
@@ -153,4 +227,5 @@ def test_seconds_to_the_first_insertion_are_those_of_the_joints_trajectory() -> 
     assert episode.seconds_first({}) == make_trajectory(np.array(met)).duration
     slow = {"geometry": dataclasses.replace(GEOMETRIES["optimized"], max_joint_velocity=0.3)}
     assert episode.seconds_first(slow) > episode.seconds_first({})
+    assert np.isnan(episode.seconds_first({"sim_to_real": {"base_position_error": 0.003}}))
     assert np.isnan(Episode(env, 0, 0).seconds_first({}))  # without an insertion

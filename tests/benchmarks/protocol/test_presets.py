@@ -1,5 +1,6 @@
 """Presets are strict: whatever a file gets wrong is named, with the file and what is known."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,8 @@ from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import plan
 from benchmarks.protocol.labels import knowledge
-from benchmarks.protocol.plan import expand, settings
-from benchmarks.protocol.presets import Preset, load, load_preset, preset_names
+from benchmarks.protocol.plan import checkpoint_bytes, expand, settings, units_of
+from benchmarks.protocol.presets import Preset, load, load_preset, load_suite, preset_names
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.smoke import parsed, smoke, smoke_file, smoke_preset
 
@@ -45,6 +46,27 @@ def test_a_group_of_runs_may_have_seeds_of_its_own() -> None:
     runs = [{"methods": ["greedy"], "tracks": ["safe"], "seeds": [7]}, {"methods": ["optimum"]}]
     cells = expand(smoke_preset(seeds=[0, 1], runs=runs, design=None))
     assert {(c.method, c.seed) for c in cells} == {("greedy", 7), ("optimum", 0), ("optimum", 1)}
+
+
+def test_the_longest_runs_begin_first_and_of_public_tasks_seed_by_seed() -> None:
+    cells = expand(smoke_preset(seeds=[0, 1]))
+    first = [(True, 0)] * 2 + [(True, 1)] * 2 + [(False, 0)] * 3 + [(False, 1)] * 3
+    assert [(cell.learns, cell.seed) for cell in cells] == first
+    suite = dataclasses.replace(load_suite("tiny"), seeds=[0, 1])
+    costs = [(cell.seed, -units_of(settings(suite, cell))) for cell in expand(suite)]
+    assert costs == sorted(costs)
+    assert len({cost for _, cost in costs}) > 2
+    # each error is a level of its own
+    whole = load_preset("cut")
+    ran = [units_of(settings(whole, c)) for c in expand(whole) if c.method == "greedy"]
+    assert max(ran) == len(whole.evaluation.errors) * min(ran)
+
+
+def test_a_checkpoint_has_room_for_two_stacks_of_frames_of_a_transition() -> None:
+    preset = load_suite("atari100k")
+    cell = next(cell for cell in expand(preset) if cell.learns)
+    size = settings(preset, cell)["arguments"]["buffer_size"]
+    assert checkpoint_bytes(preset, cell) > size * 2 * 4 * 84 * 84
 
 
 def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
@@ -181,6 +203,13 @@ def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
     preset = smoke_preset(geometries={"mine": SIZES}, runs=runs)
     (cell,) = expand(preset)
     assert settings(preset, cell)["dimensions"] == SIZES
+
+
+def test_a_runs_settings_are_of_its_own_method_alone() -> None:
+    preset = smoke_preset(track={"methods": {"dqn": {"tau": 0.005}}})
+    stored = {c.method: settings(preset, c).get("track", {}).get("methods") for c in expand(preset)}
+    assert stored.pop("dqn") == {"dqn": {"tau": 0.005}}
+    assert set(stored.values()) == {None}
 
 
 def test_what_is_not_there_is_an_error_that_lists_what_is(tmp_path: Path) -> None:

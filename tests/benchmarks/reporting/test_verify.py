@@ -169,6 +169,12 @@ def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
     path.write_text(text, encoding="utf-8")
     learner = learners(store)[0]
     rows = learner.rows("episodes")
+    last = rows.index[-1]
+    rows.assign(reset_seed=rows["reset_seed"] + (rows.index == last)).to_csv(
+        learner.path / "episodes.csv", index=False
+    )
+    (result,) = check_runs(store)
+    assert f"rows at noise {rows['noise'][last]}, error 0 mm, acting greedy of other than" in result
     rows[rows["noise"] == 0.0].to_csv(learner.path / "episodes.csv", index=False)
     (result,) = check_runs(store)
     assert "episodes.csv has noise [0.0], not [0.0, " in result
@@ -178,7 +184,7 @@ def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
 
 
 def test_a_policy_that_is_not_its_runs_is_named(store: Store) -> None:
-    first, second = learners(store)[:2]
+    first, second, third = learners(store)[:3]
     for run, data in ((first, b"one"), (second, b"two")):
         run.policy.write_bytes(data)
         meta = run.meta()
@@ -187,15 +193,17 @@ def test_a_policy_that_is_not_its_runs_is_named(store: Store) -> None:
     assert check_runs(store) == []
     first.policy.write_bytes(b"two")
     second.policy.write_bytes(b"one")
+    third.policy.write_bytes(b"of nobody")  # its meta.json has no digest
     wanted = "policy.zip is not the policy whose digest its meta.json has"
-    assert check_runs(store) == [f"{run.path}: {wanted}" for run in (first, second)]
+    assert check_runs(store) == [f"{run.path}: {wanted}" for run in (first, second, third)]
 
 
 def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
     run = learners(store)[0].path
     curve = (run / "curve.csv").read_text("utf-8")
     episodes, meta = ((run / name).read_text("utf-8") for name in ("episodes.csv", "meta.json"))
-    missing = ("machine", "cpu_seconds")
+    config = (run / "config.yaml").read_text("utf-8")
+    missing = ("commit", "dirty", "machine", "cpu_seconds")
     lines = curve.splitlines(keepends=True)
     cut = [lines[0], "".join(lines[:-1]), curve[:-1], curve[:-5]]
     for name, text, message in (
@@ -206,6 +214,9 @@ def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
         ("meta.json", '{"schema": 1, "training": null}', "'training' is no mapping"),
         ("config.yaml", "{}", "lacks 'cell'"),
         ("config.yaml", "cell: a", "'cell' is no mapping"),
+        ("config.yaml", config.replace("seed: 0", "seed: 7"), "-s7' by its config.yaml"),
+        ("meta.json", meta.replace(run.name, "other"), "'other' by its meta.json"),
+        ("meta.json", meta.replace("60.0", '"many"'), "lacks 'wall_seconds', a number"),
         ("episodes.csv", "", "cannot be read"),
         ("episodes.csv", "episode,success\n0,1\n", "episodes.csv lacks the column 'noise'"),
         ("episodes.csv", episodes.replace(",1,", ",5,"), "values in column 'success'"),
@@ -224,6 +235,9 @@ def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
     run.rename(run.with_name("aaa"))
     (problem,) = check_runs(store)
     assert f"holds the run '{run.name}'" in problem
+    store.entries.mkdir()
+    run.with_name("aaa").rename(store.entries / "aaa")
+    assert check_runs(store) == [problem.replace("/runs/", "/entries/")]
 
 
 def test_a_setting_changed_by_hand_is_named(copy: Path, store: Store, capsys: Capture) -> None:

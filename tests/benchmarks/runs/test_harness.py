@@ -139,9 +139,9 @@ def test_a_learner_that_ends_early_is_no_complete_run(tmp_path: Path) -> None:
 
 
 def test_a_digest_is_of_what_decides_a_result() -> None:
-    settings = {"track": {"description": "a", "timesteps": 3}, "seeds": [1, 2]}
-    told = {**settings, "track": {"timesteps": 3, "description": "b"}}
-    longer = {**settings, "track": {"description": "a", "timesteps": 4}}
+    settings = {"track": {"description": "a", "timesteps": 3, "tau": 1}, "seeds": [1, 2]}
+    told = {**settings, "track": {"tau": 1, "timesteps": 3, "description": "b"}}
+    longer = {**settings, "track": {"description": "a", "timesteps": 4, "tau": 1}}
     assert digest(settings) == digest(told) != digest(longer)
 
 

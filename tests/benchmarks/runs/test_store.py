@@ -36,16 +36,28 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_reader_sees_the_old_file_or_the_new_one_which_is_on_the_disk(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+    there: list[str] = []
+    flush = mock.patch("os.fsync", side_effect=lambda _: there.append(path.read_text("utf-8")))
+    with path.open(encoding="utf-8") as reader, flush:
+        write_text(path, "new")
+        assert reader.read() == there[0] == "old"
+    assert path.read_text(encoding="utf-8") == "new"
+    assert path.stat().st_mode & 0o777 == 0o644  # others read it too
+
+
 def test_rows_come_back_as_they_went(tmp_path: Path) -> None:
     run = Store.open(tmp_path, "smoke", create=True).run("cell")
     run.write_rows("episodes", [
-        {"episode": 0, "success": True, "time": 1.25, "failure": "", "seed": 2**31 - 1},
+        {"episode": 0, "success": True, "time": 1.234567, "failure": "", "seed": 2**31 - 1},
         {"episode": 1, "success": False, "time": math.nan, "failure": "no plan", "seed": 7},
     ])  # fmt: skip
     frame = run.rows("episodes")
     assert frame["success"].tolist() == [1, 0]
     assert frame["seed"].tolist() == [2**31 - 1, 7]
-    assert frame["time"][0] == 1.25
+    assert frame["time"][0] == 1.234567
     assert math.isnan(frame["time"][1])
     assert frame["failure"][1] == "no plan"
 
@@ -68,6 +80,7 @@ def test_a_run_is_complete_when_meta_is_there_and_not_before(tmp_path: Path) -> 
     assert run.is_complete()
     assert not run.has_policy()
     assert [result.id for result in store.completed()] == ["cell"]
+    run.meta()["wall_seconds"] = 9.0  # who asked may change it
     assert run.meta() == {"schema": SCHEMA, "wall_seconds": 1.0}
     run.drop_checkpoint()
     assert run.progress() == (1.0, "complete")
@@ -89,6 +102,7 @@ def test_a_shield_of_the_usual_margins_is_no_lack_of_one() -> None:
     usual: dict[str, Any] = {"track": {"gamma": 0.99, "shield": {}}}
     assert changes(bare, usual) == ["track.shield: None -> {}"]
     assert changes({"track": {"gamma": 0.99}}, usual) == ["track.shield: absent -> {}"]
+    assert changes(usual, {"track": {"gamma": 0.99}}) == ["track.shield: {} -> absent"]
     assert digest(bare) != digest(usual)
 
 
@@ -117,6 +131,21 @@ def test_progress_is_not_worth_a_run(tmp_path: Path) -> None:
     with mock.patch("benchmarks.runs.store.write_text", side_effect=OSError("no space left")):
         RunFolder(tmp_path).write_progress(0.5, "")
     assert RunFolder(tmp_path).progress() == (0.0, "")
+
+
+def test_progress_is_told_no_more_often_than_it_is_looked_at(tmp_path: Path) -> None:
+    with mock.patch("time.perf_counter", side_effect=[0.0, 0.4, 0.6, 0.8, 1.2]):
+        run, told = RunFolder(tmp_path), []
+        for share in (0.1, 0.2, 0.3, 0.4):
+            run.report(share, lambda: "")
+            told.append(run.progress()[0])
+    assert told == [0.0, 0.2, 0.2, 0.4]
+
+
+def test_each_clock_has_its_seconds_where_older_runs_have_them_too(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path)
+    run.write_meta({"wall_seconds": 3.0, "training": {"wall_seconds": 2.0, "cpu_seconds": 1.0}})
+    assert (run.seconds(), run.seconds("cpu")) == (3.0, 1.0)
 
 
 @pytest.mark.parametrize(

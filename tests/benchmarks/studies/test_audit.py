@@ -5,11 +5,15 @@ import itertools
 import math
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks.evaluation.evaluate import begin_episodes
+from benchmarks.methods.base import Plan
+from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.scripts import SCRIPTS, Simulator
 from benchmarks.protocol.plan import expand
@@ -20,6 +24,8 @@ from benchmarks.studies import audit, failures
 from benchmarks.studies.insertion import Insertion
 from coop_env.env import CoopInsertionEnv
 from tests.benchmarks.conftest import Command
+from tests.benchmarks.fabricated_store import fill
+from tests.benchmarks.smoke import smoke_file
 
 
 def test_the_best_cycle_is_the_best_of_all() -> None:
@@ -98,6 +104,7 @@ def test_causes_are_told_apart() -> None:
     """On the spot, towards the singularity, and around a square of eight configurations."""
     preset = load_preset("smoke")
     cell = next(c for c in expand(preset) if c.method == "rainbow")
+    around = (0, 0, 2, 2, 1, 1, 3, 3)
 
     def model(*actions: int) -> SimpleNamespace:
         turn = itertools.cycle(actions)
@@ -105,7 +112,62 @@ def test_causes_are_told_apart() -> None:
 
     plain = dataclasses.replace(preset.tracks["safe"], mask_singularities=False, mask_visited=0)
     preset = dataclasses.replace(preset, tracks={"safe": plain})
-    turns = {"cycle": (4, 5), "singular": (8,), "wandering": (0, 0, 2, 2, 1, 1, 3, 3)}
-    for cause, actions in turns.items():
+    for cause, actions in (
+        ("cycle", (0, 2, 1, 3)),
+        ("cycle", 20 * around + 70 * (4, 5)),  # an episode that ends in one
+        ("singular", (8,)),
+        ("wandering", around),
+    ):
         rows = failures.play(preset, cell, model(*actions), LatticeOracle())
         assert [row["cause"] for row in rows] == 2 * [cause]
+        assert [str(row["moves"]) for row in rows] == 2 * ["nan"]
+    hopeless: Any = SimpleNamespace(plan=lambda env: Plan("infeasible", None, 0.0))
+    rows = failures.play(preset, cell, model(4, 5), hopeless)
+    assert [row["cause"] for row in rows] == 2 * ["infeasible"]
+    assert [str(row["optimum"]) for row in rows] == 2 * ["nan"]
+    rows = failures.play(preset, cell, model(4, 5), LatticeOracle(node_limit=1))  # gives up
+    assert [row["cause"] for row in rows] == 2 * ["cycle"]
+    # the optimum of another seed's episodes, and no move after it
+    cell = dataclasses.replace(cell, seed=1)
+    starts = begin_episodes(env_arguments(preset, cell, plain), 1, 2, preset.evaluation.stream)
+    plans: list[Any] = [LatticeOracle().plan(episode.env).moves for episode in starts]
+    rows = failures.play(preset, cell, model(*itertools.chain(*plans)), LatticeOracle())
+    assert [row["start"] for row in rows] == [episode.start for episode in starts]
+    assert [row["moves"] for row in rows] == [len(plan) for plan in plans]
+    assert [row["optimum"] for row in rows] == [len(plan) for plan in plans]
+    assert [(row["success"], row["cause"]) for row in rows] == 2 * [(True, "")]
+
+
+def test_failures_are_of_each_seed_whose_policy_is_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: Command
+) -> None:
+    runs = [{"methods": ["rainbow"], "tracks": ["safe", "tilted"], "ablations": ["full", "none"]}]
+    tracks: dict[str, Any] = {"safe": {}, "tilted": {"base": "safe"}}
+    path = smoke_file(tmp_path, "mine", seeds=[0, 1, 2], tracks=tracks, runs=runs)
+    preset, store = load_preset(str(path)), Store.open(tmp_path, "mine", create=True)
+    for cell in expand(preset):
+        fill(store, preset, cell, 1)
+        run = store.run(cell.id)
+        run.rows("curve").assign(success_20=0.9).to_csv(run.path / "curve.csv", index=False)
+        if cell.seed < 2:
+            run.policy.write_bytes(b"")
+    still = SimpleNamespace(predict=lambda *_, deterministic: (np.array([0]), None))
+    monkeypatch.setattr(failures, "load_stored", lambda path: still)
+    done("study", "failures", "--preset", path, "--results", tmp_path)
+    rows = pd.read_csv(store.folder / "failures" / "rainbow-safe.csv")
+    assert rows["seed"].tolist() == [0, 0, 1, 1]
+    assert rows["acting"].tolist() == [0.5] * 4
+
+
+def test_a_summary_of_failures_says_what_its_rows_say() -> None:
+    rows = pd.DataFrame({
+        "seed": [0, 0, 0, 1, 1], "success": [1, 1, 0, 0, 0], "acting": [0.5] * 3 + [0.9] * 2,
+        "moves": [15.0, 9.0] + [math.nan] * 3, "optimum": [10.0, math.nan, 10.0, 10.0, math.nan],
+        "cause": ["", "", "cycle", "cycle", "infeasible"],
+    })  # fmt: skip
+    assert failures.summary(rows) == (
+        "- Success at the first hole: 40.0 % of 5 test episodes, the exact optimum's 60.0 %.\n"
+        "- Moves over the optimum's: 50.0 %.\n"
+        "- Failures: 1 infeasible, 0 singular, 2 cycle, 0 wandering.\n"
+        "- Success with exploration, last tenth of training: 70.0 %.\n"
+    )

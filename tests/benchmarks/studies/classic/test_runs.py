@@ -240,3 +240,10 @@ def test_a_method_may_have_seeds_of_its_own() -> None:
     for name in (*preset.methods, *preset.controls):
         seeds = {cell.seed for cell in expand(preset) if cell.method == name}
         assert seeds == ({11, 12, 13, 14, 15} if name == "rainbow" else {*preset.seeds})
+
+
+def test_a_task_may_have_seeds_of_its_own() -> None:
+    own = {"cartpole": dataclasses.replace(TINY.tasks["cartpole"], seeds=[7])}
+    cells = expand(dataclasses.replace(TINY, tasks=TINY.tasks | own))
+    assert {cell.seed for cell in cells if cell.track == "cartpole"} == {7}
+    assert {cell.seed for cell in cells if cell.track != "cartpole"} == {0}
