@@ -102,7 +102,7 @@ def over_heaves(
     [0.57, 1.16]
     """
     check_list("heaves", heaves, "a list of heights", error=DesignError)
-    each = (replace(problem, heaves=(float(heave),)) for heave in heaves)
+    each = (replace(problem, heaves=(heave,)) for heave in heaves)
     return np.array([workspace_area(geometry, at_heave) for at_heave in each])
 
 

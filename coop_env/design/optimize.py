@@ -277,9 +277,10 @@ def atlas(
     for name, given, (low, high) in zip(
         ("lambda1", "lambda2"), (lambda1, lambda2), FEASIBLE_BOX, strict=True
     ):
-        if given is not None:
-            check_list(name, given, "a list of numbers", error=DesignError)
-        axes.append(np.arange(low, high, 0.04) if given is None else np.asarray(given, float))
+        values = np.arange(low, high, 0.04) if given is None else given
+        check_list(name, values, "a list of numbers", error=DesignError)
+        numbers = (check_number(f"{name}[{i}]", v, error=DesignError) for i, v in enumerate(values))
+        axes.append(np.array([*numbers]))
     rows, columns = axes
     cost = _Cost(problem, objective, sample_points(problem), constraints)
     value = np.empty((len(rows), len(columns)))
@@ -299,5 +300,5 @@ def at_heaves(problem: DesignProblem, heaves: Sequence[float]) -> DesignProblem:
     (0.21, 0.2, 0.22)
     """
     check_list("heaves", heaves, "a list of heights", error=DesignError)
-    others = tuple(float(h) for h in heaves if h != problem.home_heave)
+    others = (heave for heave in heaves if heave != problem.home_heave)
     return replace(problem, heaves=(problem.home_heave, *others))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from coop_env.compilation import njit
-from coop_env.errors import check_integer, check_list, check_number
+from coop_env.errors import check_integer, check_list, check_number, keep_number
 from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs_kernels as rrs
 from coop_env.kinematics.singularity import is_manipulable, manipulability
@@ -73,13 +73,15 @@ class DesignProblem:
         heaves = check_list("heaves", self.heaves, of, error=DesignError)
         if not heaves:
             raise DesignError("heaves is empty: it has the home heave at least")
-        object.__setattr__(self, "heaves", tuple(heaves))
-        for i, heave in enumerate(self.heaves):
+        above = [
             check_number(f"heaves[{i}]", heave, 0.0, above=True, error=DesignError)
+            for i, heave in enumerate(heaves)
+        ]
+        object.__setattr__(self, "heaves", tuple(above))
         for name in ("eta", "distal_length", "threshold", "extent", "max_tilt"):
-            check_number(name, getattr(self, name), 0.0, above=True, error=DesignError)
+            keep_number(self, name, 0.0, above=True, error=DesignError)
         for name in ("joint_min", "joint_max"):
-            check_number(name, getattr(self, name), error=DesignError)
+            keep_number(self, name, error=DesignError)
         if not self.extent < math.pi / 2:
             raise DesignError(f"extent = {self.extent!r} rad: must be below pi/2")
         if not self.joint_min < self.joint_max:
@@ -216,7 +218,8 @@ def workspace_map(
 ) -> WorkspaceMap:
     """Signed sigma_min and kappa over the whole grid, NaN out of reach, and the home component."""
     samples = _samples(samples, problem)
-    height = problem.home_heave if heave is None else float(heave)
+    height = problem.home_heave if heave is None else heave
+    height = check_number("heave", height, 0.0, above=True, error=DesignError)
     sigma, kappa, inside = _survey(geometry, problem, samples, height, True)
     return WorkspaceMap(samples, sigma, kappa, inside, problem.cell_area * int(inside.sum()))
 

@@ -128,7 +128,7 @@ def certify_lattice(
     near = near_points(shield, params, delta)
     low, high = delta[near], delta[~near]
     home = np.array([[0.0, 0.0, origin[5]]])
-    alone = np.array([p for p in high if shield.is_certified([*p, *home[0]])][:1])
+    alone = high[[shield.is_certified([*p, *home[0]]) for p in high]][:1]
     if len(high) > len(alone) == 0:
         raise ArgumentError(
             f"origin: with the platform flat at its heave, {origin[5]:g} m, no point is certified, "

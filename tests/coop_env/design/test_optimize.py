@@ -50,6 +50,9 @@ def test_a_search_cut_short_says_so() -> None:
         assert "has been exceeded" in cut.message
         assert len(cut.path) == cut.evaluations
         assert cut.value >= cut.start_value
+    assert design.optimize(COARSE, max_evaluations=5).evaluations == 5
+    first = design.optimize(COARSE, simplex=0.05, max_evaluations=5).path[:3, :2]
+    np.testing.assert_allclose(first[1:] - first[0], np.diag([0.05, 0.05]), atol=1e-12)
 
 
 def test_impossible_arguments_are_named() -> None:
@@ -68,6 +71,14 @@ def test_impossible_arguments_are_named() -> None:
         design.atlas(COARSE, 1.5, [1.5])  # type: ignore[arg-type]
     with pytest.raises(DesignError, match=r"heaves = 0\.2: must be a list"):
         design.at_heaves(COARSE, 0.2)  # type: ignore[arg-type]
+    for wrong in ("a", None, [1.0]):
+        for name, call in (
+            ("lambda1", lambda each: design.atlas(COARSE, [1.5, each], [1.0])),
+            ("heaves", lambda each: design.at_heaves(COARSE, [each])),
+            ("heaves", lambda each: design.over_heaves(INITIAL, [each])),
+        ):
+            with pytest.raises(DesignError, match=rf"{name}\[[01]\] = .*: must be a number"):
+                call(wrong)
 
 
 def test_the_atlas_peaks_where_nelder_mead_ends(printed: design.Optimum) -> None:
@@ -93,6 +104,14 @@ def test_the_atlas_is_nan_exactly_outside_the_constraints_and_reports_progress()
             feasible = 0 < c < a < 2 and b > 0
             assert np.isfinite(grid.value[i, j]) == feasible
     assert rows == [(1, 3), (2, 3), (3, 3)]
+    own = design.atlas(
+        tiny,
+        [1.5, 1.7],
+        [1.5],
+        objective=lambda g, *_: g.lambdas[0],
+        constraints=[lambda g: 1.6 - g.lambdas[0]],
+    )
+    np.testing.assert_allclose(own.value, [[1.5], [math.nan]])
 
 
 def test_a_start_without_workspace_is_an_error_not_a_flat_optimum() -> None:
@@ -132,6 +151,20 @@ def test_another_designers_objective_and_constraint() -> None:
     assert result.value > result.start_value
     assert enough(result.geometry) >= 0.0
     assert result.geometry.base_radius <= 0.2
+
+    def kept(a: float, b: float) -> bool:
+        if not (b > 0.0 and 0.0 < 4.0 - a - b < a < 2.0):
+            return False
+        geometry = COARSE.geometry(a, b)
+        return enough(geometry) >= 0.0 and geometry.base_radius <= 0.2
+
+    expected = [kept(a, b) for a, b, _ in result.path.tolist()]
+    assert np.isfinite(result.path[:, 2]).tolist() == expected
+    assert False in expected
+    with pytest.raises(DesignError, match="breaks a constraint"):
+        design.optimize(COARSE, constraints=[lambda _: math.nan])
+    with pytest.raises(DesignError, match=r"objective is -1\.0"):
+        design.optimize(COARSE, objective=lambda *_: -1.0)
     with pytest.raises(DesignError, match="breaks a constraint"):
         design.optimize(COARSE, constraints=[lambda g: 0.1 - g.base_radius])
     nothing: Any = None
@@ -141,6 +174,31 @@ def test_another_designers_objective_and_constraint() -> None:
         design.optimize(COARSE, constraints=[lambda _: nothing])
     with pytest.raises(DesignError, match="objective is nan"):
         design.optimize(COARSE, objective=lambda *_: math.nan)
+
+
+def test_the_global_search_keeps_a_designers_objective_and_constraint_to_its_end() -> None:
+    """The nearest design to (1.8, 1.3) that has no lambda1 above 1.7."""
+
+    def nearness(geometry: RRSGeometry, *_: Any) -> float:
+        lambda1, lambda2 = geometry.lambdas[:2]
+        return 4.0 - math.hypot(lambda1 - 1.8, lambda2 - 1.3)
+
+    def search(seed: int) -> design.Optimum:
+        return design.optimize_globally(
+            COARSE,
+            objective=nearness,
+            constraints=[lambda g: 1.7 - g.lambdas[0]],
+            seed=seed,
+            population=6,
+            generations=10,
+        )
+
+    found = search(0)
+    assert (found.lambda1, found.lambda2) == pytest.approx((1.7, 1.3), abs=5e-3)
+    assert found.start_value == pytest.approx(nearness(INITIAL))
+    assert np.isclose(found.path[:12, :2], INITIAL.lambdas[:2]).all(axis=1).any()
+    np.testing.assert_array_equal(found.path, search(0).path)
+    assert not np.isin(found.path[:12, 0], search(1).path[:12, 0]).all()
 
 
 def test_other_limits_heave_and_threshold_reach_the_search() -> None:
@@ -168,5 +226,7 @@ def test_what_is_found_can_heave() -> None:
     result = design.optimize(DesignProblem(cells=30, heaves=(0.231,)), max_evaluations=30).geometry
     assert result.home_heave == 0.231
     assert (result.heave_min, result.heave_max) == (INITIAL.heave_min, INITIAL.heave_max)
+    wide = DesignProblem(heaves=(0.22, 0.2, 0.26)).geometry(1.5, 1.6)
+    assert (wide.heave_min, wide.home_heave, wide.heave_max) == (0.2, 0.22, 0.26)
     heaves = [CoopInsertionEnv(result).reset(seed=seed)[0][5] for seed in range(8)]
     assert np.ptp(heaves) > 0.1

@@ -96,9 +96,17 @@ def test_a_threshold_holds_where_the_signed_sigma_min_is_no_less() -> None:
     results = set()
     for _ in range(500):
         a, b, sign = _rows(rng.normal(size=(3, 3))), tuple(rng.normal(size=3)), rng.choice([-1, 1])
-        sigma = manipulability(a, b, sign)[1]
-        for threshold in (0.15, 0.9999 * abs(sigma), 1.0001 * abs(sigma)):
+        j, sigma, _ = manipulability(a, b, sign)
+        beyond_two = 0.5 * sum(singular_values_3x3(j)[:2])  # then the determinant is positive again
+        for threshold in (0.15, 0.9999 * abs(sigma), 1.0001 * abs(sigma), beyond_two):
             results.add(sigma >= threshold)
             assert is_manipulable(a, b, sign, threshold) == (sigma >= threshold)
     assert results == {True, False}
-    assert not is_manipulable(_rows(np.eye(3)), (1.0, 0.0, 1.0), 1.0, 0.15)  # type I: J is infinite
+    for limb in range(3):  # type I: J is infinite
+        b = tuple(1.0 - np.eye(3)[limb])
+        assert not is_manipulable(_rows(np.eye(3)), b, 1.0, 0.15)
+        j, *others = manipulability(_rows(np.eye(3)), b, 1.0)
+        assert np.isinf(j).all()
+        assert np.isnan(others).all()
+    flat = manipulability(_rows(np.diag([1.0, 2.0, 0.0])), (1.0, 1.0, 1.0), 1.0)  # type II
+    assert flat[1:] == (0.0, np.inf)

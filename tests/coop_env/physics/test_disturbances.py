@@ -75,6 +75,15 @@ def test_machines_are_drawn_within_the_bounds() -> None:
         assert low <= values.min() < low + near < high - near < values.max() <= high, name
     gains = np.array([d.gains for d in drawn])
     assert np.mean(gains > 1.0) == pytest.approx(0.5, abs=0.05)
+    assert np.abs(np.corrcoef(np.sign(np.log(gains)).T) - np.eye(6)).max() < 0.25  # each its own
+    whole = [draw_disturbance(replace(FORGE, randomize=False), rng) for _ in range(400)]
+    errors = [
+        np.abs([[*np.log(d.gains), *(d.masses - 1.0)] for d in some]) for some in (drawn, whole)
+    ]
+    narrower = errors[0].mean(axis=0) / errors[1].mean(axis=0)  # by a factor of each knob's own
+    assert narrower == pytest.approx(np.full(13, 0.5), abs=0.12)
+    sizes = errors[0][:, :6].mean(axis=1), errors[0][:, 6:].mean(axis=1)
+    assert np.abs(np.corrcoef(sizes) - np.eye(2)).max() < 0.2
     assert np.mean([d.latency for d in drawn]) == pytest.approx(0.5, abs=0.08)
     fixed = draw_disturbance(replace(FORGE, randomize=False), rng)
     assert (fixed.dead_zone, fixed.latency, fixed.force_noise) == (0.33, 1.0, 1.0)

@@ -1,7 +1,7 @@
 """What the shield certifies keeps its margins, and it takes away no more than it must."""
 
 import pickle
-from itertools import islice
+from itertools import islice, product
 from typing import Any
 
 import gymnasium as gym
@@ -13,9 +13,17 @@ from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.errors import ActionError, ArgumentError
 from coop_env.geometry import OPTIMIZED
 from coop_env.kinematics import rrs
-from coop_env.shield import KinematicShield, ShieldedInsertionVecEnv, ShieldMargin, ShieldWrapper
+from coop_env.shield import (
+    KinematicShield,
+    ShieldedInsertionVecEnv,
+    ShieldMargin,
+    ShieldWrapper,
+    certificate,
+)
 from coop_env.shield.certificate import certify_lattice
+from coop_env.simulation.collision import below_ceiling
 from coop_env.simulation.state import VALID
+from coop_env.simulation.task import axis_bounds
 
 COLLISION = 2
 
@@ -236,6 +244,58 @@ def test_a_certificate_that_would_leave_moves_out_is_refused(env: CoopInsertionE
     strict = KinematicShield(env, ShieldMargin(sigma=1.0))  # more than the flat platform has
     with pytest.raises(ArgumentError, match="choose another origin"):
         certify_lattice(strict, env.params, np.array([0.0, 0.0, -0.35, 0.0, 0.0, 0.22]))
+
+
+def test_a_certificate_counts_what_a_walk_over_its_lattice_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A coarse one, of a shield that takes the effector for smaller than the task says it is."""
+    monkeypatch.setattr(certificate, "CHUNK", 7)
+    task = {"linear_step": 0.09, "angular_step": 0.3, "heave_step": 0.02}
+    env, thick = (
+        CoopInsertionEnv(task=task),
+        CoopInsertionEnv(task={**task, "effector_radius": 0.08}),
+    )
+    env.reset(seed=12)
+    origin, steps = env.configuration, np.array(env.task.steps)
+    shield = KinematicShield(env, {"sigma": 0.2, "reach": 0.3, "joint": 0.1})
+    shares: list[float] = []
+    found = certify_lattice(shield, thick.params, origin, shares.append)
+    low, high = axis_bounds(env.params)
+    lines = [origin[k] + steps[k] * np.arange(-30, 31) for k in range(6)]
+    axes = [line[(line >= low[k]) & (line <= high[k])] for k, line in enumerate(lines)]
+    delta, tilts = (np.array(list(product(*part))) for part in (axes[:3], axes[3:]))
+    grown, most = shield.margin.tighten(thick.params), thick.params.rrs.heave_max
+    near = [below_ceiling((x, y, z - steps[2], 0.0, 0.0, most), grown) for x, y, z in delta]
+    flat, over = np.array([[0.0, 0.0, origin[5]]]), delta[~np.array(near)]
+    alone = [p for p in over if shield.is_certified([*p, *flat[0]])][:1]
+    counts = np.zeros(4, int)
+    moves = np.repeat(np.diag(steps), 2, axis=0) * np.tile([1.0, -1.0], 6)[:, None]
+    for one, other in ((delta[near], tilts), (over, flat), (alone, tilts)):
+        for c in (np.concatenate(pair) for pair in product(one, other)):
+            if shield.is_certified(c):
+                allowed = shield.allowed_moves(c)
+                ways = [c + np.outer(np.arange(8) / 7, move) for move in moves[::2][allowed[::2]]]
+                harmful = sum(any(map(thick.configuration_status, way)) for way in ways)
+                counts += [1, 2 * len(ways), harmful, not allowed.any()]
+    assert list(found) == counts.tolist()
+    assert min(found) > 0
+    assert shares == pytest.approx([min(1.0, done / 60) for done in range(7, 67, 7)])
+
+
+def test_a_lattice_has_its_bounds_and_its_near_points_are_a_move_from_the_ceiling(
+    env: CoopInsertionEnv, shield: KinematicShield
+) -> None:
+    for bound in axis_bounds(env.params):
+        delta, tilts = certificate.lattice(env.params, bound)
+        assert np.isclose(delta, bound[:3]).all(axis=1).any()
+        assert np.isclose(tilts, bound[3:]).all(axis=1).any()
+    heights = np.zeros((400, 3)) + np.linspace(-0.65, -0.25, 400)[:, None] * [0.0, 0.0, 1.0]
+    grown, most = shield.margin.tighten(env.params), env.params.rrs.heave_max
+    down = env.task.steps[2]
+    near = [below_ceiling((x, y, z - down, 0.0, 0.0, most), grown) for x, y, z in heights]
+    assert certificate.near_points(shield, env.params, heights).tolist() == near
+    assert 0 < sum(near) < 400
 
 
 ARGUMENTS: dict[str, Any] = {"reward": "progress", "mask_singularities": True}

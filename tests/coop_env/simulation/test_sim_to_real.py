@@ -1,5 +1,6 @@
 """Sim-to-real knobs: each does what it says, from the seed alone, and off means off."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -14,8 +15,8 @@ from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.physics.model import Machine
 from coop_env.physics.task import start_configurations
 from coop_env.simulation.collision import on_base
-from coop_env.simulation.machine import displaced, gaussian, uniform
-from coop_env.simulation.sim_to_real import RANDOMIZED
+from coop_env.simulation.machine import MACHINE, displaced, gaussian, uniform
+from coop_env.simulation.sim_to_real import RANDOMIZED, draw_machine
 from coop_env.simulation.state import state_dtype
 
 
@@ -173,6 +174,51 @@ def test_randomized_machines_differ_between_episodes_and_repeat_with_the_seed() 
     assert {int(m["latency"]) for m in machines} == {0, 1}
     assert len({float(m["backlash"]) for m in machines}) == 20
     assert all(m["insertion_probability"] >= RANDOMIZED.insertion_probability for m in machines)
+
+
+def test_machines_are_drawn_within_the_bounds_and_near_them() -> None:
+    """No two errors hang together, and a randomized machine errs half as far on average."""
+    p, rng = CoopInsertionEnv().params, np.random.default_rng(0)
+
+    def draw(knobs: SimToReal) -> dict[str, np.ndarray]:
+        drawn = np.zeros(400, MACHINE)
+        for machine in drawn:
+            draw_machine(machine, knobs, p, rng)
+        errors = {
+            "link_length_error": drawn["lengths"] / [*p.rrs[:4], *p.delta[:4]] - 1.0,
+            "base_position_error": drawn["base"][:, :3],
+            "base_tilt_error": drawn["base"][:, 3:],
+            "chamfer_error": drawn["chamfer"] - p.task.chamfer,
+            "backlash": drawn["backlash"],
+            "joint_resolution": drawn["resolution"],
+            "observation_noise": drawn["noise"],
+        }
+        assert drawn["tolerance"] - p.task.tolerance == pytest.approx(errors["chamfer_error"])
+        errors |= {"probability": drawn["insertion_probability"], "latency": drawn["latency"]}
+        return {name: error.reshape(400, -1) for name, error in errors.items()}
+
+    fixed, scaled = draw(replace(RANDOMIZED, randomize=False)), draw(RANDOMIZED)
+    for name in list(fixed)[:4]:  # of either sign
+        bound = getattr(RANDOMIZED, name)
+        for drawn in (fixed[name], scaled[name]):
+            assert np.abs(drawn).max() <= bound * (1.0 + 1e-9), name
+            assert (drawn.min(axis=0) < -0.7 * bound).all(), name
+            assert (drawn.max(axis=0) > 0.7 * bound).all(), name
+        narrower = np.abs(scaled[name]).mean() / np.abs(fixed[name]).mean()
+        assert narrower == pytest.approx(0.5, abs=0.1), name
+    for name in list(fixed)[4:7]:
+        bound = getattr(RANDOMIZED, name)
+        assert (fixed[name] == bound).all(), name
+        share = scaled[name] / bound
+        assert 0.0 <= share.min() < 0.1 < 0.9 < share.max() <= 1.0, name
+    least = RANDOMIZED.insertion_probability
+    assert fixed["probability"] == pytest.approx(least)
+    assert least <= scaled["probability"].min() < least + 0.01
+    assert 0.99 < scaled["probability"].max() <= 1.0
+    assert (fixed["latency"] == 1).all()
+    assert scaled["latency"].mean() == pytest.approx(0.5, abs=0.1)
+    together = np.corrcoef(np.hstack(list(scaled.values())), rowvar=False)
+    assert np.abs(together - np.eye(len(together))).max() < 0.25
 
 
 def test_the_rows_generator_is_uniform_and_normal() -> None:
