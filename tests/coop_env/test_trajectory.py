@@ -3,6 +3,7 @@
 import csv
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,9 @@ def test_no_sample_exceeds_a_limit_and_every_configuration_is_met(
     assert np.diff(result.times) == pytest.approx(TIMESTEP)
 
 
-@pytest.mark.parametrize(("delta", "move_time"), [(None, None), (None, 0.4), (SLOW, 2.0)])
+@pytest.mark.parametrize(
+    ("delta", "move_time"), [(None, None), (None, 0.4), (SLOW, None), (SLOW, 2.0)]
+)
 def test_between_two_stops_all_joints_move_in_proportion(
     delta: DeltaGeometry | None, move_time: float | None
 ) -> None:
@@ -88,12 +91,24 @@ def test_between_two_stops_all_joints_move_in_proportion(
             part = result.positions[first : last + 1] - result.positions[first]
             share = part @ part[-1] / max(part[-1] @ part[-1], 1e-12)  # it may have come back
             assert part == pytest.approx(np.outer(share, part[-1]), abs=1e-9)
+            if move_time is None and np.ptp(part, axis=0).any():  # as fast as the limits admit
+                jerk = np.diff(result.accelerations[first : last + 1], axis=0) / TIMESTEP
+                allowed = [(delta or DELTA).max_joint_jerk] * 3 + [OPTIMIZED.max_joint_jerk] * 3
+                assert 0.9 < np.abs(jerk / allowed).max() < 1.0 + 1e-6
 
 
 def test_a_move_along_a_bound_is_free() -> None:
     """Straight for the joints, it bows out: the platform by 0.05 mm, the effector by half a one."""
     low, wide = walk(0, 0).repeat(2, axis=0)
     low[3:] = 0.0, 0.0, OPTIMIZED.heave_min
+    tilted = replace(OPTIMIZED, max_tilt=0.3)
+    for geometry, axis, there, move in (
+        (OPTIMIZED, 5, [0.25, 0.0, OPTIMIZED.heave_max], [0.1, 0.1, 0.0]),
+        (tilted, 3, [0.3, -0.3, 0.23], [0.0, 0.2, 0.0]),
+    ):
+        result = make_trajectory([[*low[:3], *there], [*low[:3], *np.add(there, move)]], geometry)
+        assert result.blocked() == []
+        assert result.configurations[:, axis].max() > there[axis - 3] + 1e-4
     wide[:3] = DELTA.planar_limit, 0.0, -0.40
     moves = [(low, step * np.eye(6)[axis]) for axis in (3, 4) for step in (0.03, -0.03)]
     for start, move in [*moves, (wide, -0.02 * np.eye(6)[2])]:
@@ -110,6 +125,11 @@ def test_blended_moves_pass_without_a_stop_and_in_less_time() -> None:
     assert (np.abs(blended.velocities[blended.stops[1:-1], :3]) > 0.2).all()
     back = make_trajectory([way[0], way[1], way[0]], blend=True)
     assert back.velocities[back.stops] == pytest.approx(0.0, abs=1e-9)
+    uneven = HOME + np.outer([0.0, 1.0, 3.0, 3.5, 5.0], [0.0, 0.0, -0.02, 0.0, 0.0, 0.0])
+    timed = make_trajectory(uneven, blend=True, move_time=0.4)
+    means = np.diff(timed.positions[timed.stops, :3], axis=0) / 0.4
+    harmonic = 2.0 / (1.0 / means[:-1] + 1.0 / means[1:])
+    assert timed.velocities[timed.stops[1:-1], :3] == pytest.approx(harmonic, abs=1e-9)
     kept: dict[bool, list[int]] = {False: [], True: []}  # steps of time that moves may take
     for blend, n in product(kept, range(30, 130)):
         with suppress(TrajectoryError):
@@ -123,6 +143,7 @@ def test_a_move_that_was_not_made_takes_no_time() -> None:
     once, twice = make_trajectory([HOME, HOME]), make_trajectory([HOME, LOW, LOW, HOME])
     assert (once.duration, once.stops.tolist()) == (0.0, [0, 0])
     assert make_trajectory([HOME, HOME, LOW], move_time=0.4).duration == pytest.approx(0.8)
+    assert make_trajectory([HOME, LOW], move_time=0.4015).duration == pytest.approx(0.402)
     task = InsertionTask(dome_radius=0.05)
     assert make_trajectory([HOME, HOME], task=task).duration == 0.0
     assert twice.duration == pytest.approx(2.0 * lowered().duration, abs=TIMESTEP)
@@ -141,6 +162,16 @@ def test_a_way_through_the_dome_is_not_free() -> None:
     assert inside.any()
     assert (result.status[inside] != 0).all()
     assert lowered().blocked() == []
+    assert make_trajectory(ends, task=InsertionTask(dome_radius=0.03)).blocked() == []
+    top, env = np.array([0.0, 0.0, -0.43, 0.0, 0.0, 0.22]), CoopInsertionEnv()
+    lifted = make_trajectory([top, top + 0.03 * np.eye(6)[5]])
+    assert lifted.status.tolist() == [*map(env.configuration_status, lifted.configurations)]
+    assert 0 < np.count_nonzero(lifted.status) < len(lifted.status)
+    into = make_trajectory([ends[0], ends[0] - 0.14 * np.eye(6)[0]])
+    assert into.blocked() == [(0, "a collision")]  # the sample at its end is of the same move
+    reasons = np.sign(into.status)
+    reasons[np.flatnonzero(reasons)[0]] = 2  # the first is said
+    assert replace(into, status=reasons).blocked() == [(0, "a collision")]
 
 
 def test_the_clock_of_the_paper_is_kept_or_refused() -> None:
@@ -191,7 +222,11 @@ def test_the_csv_holds_every_sample(tmp_path: Path) -> None:
     with (tmp_path / "t.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert [float(row["time"]) for row in rows] == pytest.approx(result.times)
-    for kind, values in (("position", result.positions), ("acceleration", result.accelerations)):
+    for kind, values in (
+        ("position", result.positions),
+        ("velocity", result.velocities),
+        ("acceleration", result.accelerations),
+    ):
         read = [[float(row[f"{joint}_{kind}"]) for joint in JOINTS] for row in rows]
         assert read == pytest.approx(values, abs=1e-7)
 
@@ -209,6 +244,8 @@ def test_the_yaml_is_a_joint_trajectory(tmp_path: Path) -> None:
             "positions", "velocities", "accelerations", "effort", "time_from_start"
         ]  # fmt: skip
         assert all(type(v) is float for v in point["positions"] + point["accelerations"])
+    for kind in ("positions", "velocities", "accelerations"):
+        assert [point[kind] for point in message["points"]] == getattr(result, kind).tolist()
     stamps = [point["time_from_start"] for point in message["points"]]
     assert all(type(v) is int for stamp in stamps for v in stamp.values())
     seconds = [stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps]

@@ -83,7 +83,7 @@ def test_a_collision_is_refused_or_ends_the_episode_in_failure(reward: str) -> N
                 assert fatal.scene().status == "collision"
                 last = CoopInsertionEnv(collision="terminate", max_moves=1)
                 last.reset(options={"configuration": before["configuration"]})
-                last.step(action)
+                assert last.step(action)[2:4] == (True, False)
                 assert last.scene().status == "collision"
                 assert refusing.configuration.tolist() == before["configuration"].tolist()
                 left = 300 - int(before["moves"])

@@ -1,6 +1,7 @@
 """What the shield certifies keeps its margins, and it takes away no more than it must."""
 
 import pickle
+from dataclasses import asdict
 from itertools import islice, product
 from typing import Any
 
@@ -10,11 +11,12 @@ import pytest
 from stable_baselines3.common.env_checker import check_env
 
 from coop_env import CoopInsertionEnv, SimToReal
-from coop_env.errors import ActionError, ArgumentError
+from coop_env.errors import ActionError, ArgumentError, StateError
 from coop_env.geometry import OPTIMIZED
 from coop_env.kinematics import rrs
 from coop_env.shield import (
     KinematicShield,
+    ShieldedInsertionEnv,
     ShieldedInsertionVecEnv,
     ShieldMargin,
     ShieldWrapper,
@@ -61,6 +63,13 @@ def test_another_body_a_clearance_away_touches_nothing(
     bold = KinematicShield(env, ShieldMargin(clearance=0.0))
     drawn = rng.uniform(near.min(axis=0), near.max(axis=0), (20_000, 6))
     assert any(touches(c) for c in drawn if bold.is_certified(c))  # so that the first could fail
+
+
+def test_margins_lie_within_both_limits_and_the_tasks_own(env: CoopInsertionEnv) -> None:
+    loose = ShieldMargin(sigma=0.01, joint=0.1).tighten(env.params)
+    limits = OPTIMIZED.joint_min + 0.1, OPTIMIZED.joint_max - 0.1
+    assert (loose.rrs.joint_min, loose.rrs.joint_max) == pytest.approx(limits)
+    assert loose.layout["singular_margin"] == env.task.singular_margin
 
 
 def test_increments_keep_to_the_way_and_to_the_margins(
@@ -138,8 +147,22 @@ def test_masks_are_those_of_the_environment_and_of_the_shield() -> None:
         wrapped.action_masks(), own & wrapped.shield.allowed_moves(wrapped._inner.configuration)
     )
     assert not wrapped.action_masks()[5]  # back to where it came from
+    moves = np.repeat(np.diag(wrapped.shield.steps), 2, axis=0) * np.tile([1.0, -1.0], 6)[:, None]
+    ways = wrapped._inner.configuration + moves
+    sigma = [rrs.signed_sigma_min(way[3:], OPTIMIZED) for way in ways]
+    best = int(np.argmax(np.where(wrapped.action_masks(), sigma, -np.inf)))
     *_, info = wrapped.step(5)
     assert (info["shielded"], info["interventions"]) == (True, 1)
+    np.testing.assert_allclose(wrapped._inner.configuration, ways[best], atol=1e-12)
+    wrapped.reset(seed=3)
+    assert wrapped.step(4)[-1]["interventions"] == 0
+    own, inner = (
+        np.array(masks) == 1
+        for masks in ([[1, 1, 0], [1, 0, 0], [1, 0, 1]], [[0, 1, 1], [0, 1, 1], [0, 0, 0]])
+    )
+    assert wrapped.shield.masks(own, inner).tolist() == [
+        [False, True, False], [False, True, True], [True, False, True]
+    ]  # fmt: skip
 
 
 def test_a_start_nearer_to_a_limit_than_the_margin_is_left_by_the_environments_own_masks() -> None:
@@ -181,6 +204,8 @@ class TestContact:
     ) -> None:
         wrapped = ShieldWrapper(gym.make(name), ShieldMargin(sigma=0.2))
         np.testing.assert_allclose(wrapped.shield.steps[: len(steps)], steps)
+        # with contact the peg may reach into the dome
+        assert wrapped.shield.is_certified([0.0, 0.0, -0.46, 0.0, 0.0, 0.22])
         wrapped.reset(seed=0, options=options)
         tilting = np.zeros(6, np.float32)
         tilting[3:5] = np.sign(wrapped._inner.configuration[3:5])  # on towards the singularity
@@ -206,6 +231,9 @@ class TestContact:
     def test_what_changes_actions_belongs_around_it(self) -> None:
         low, high = np.float32(-0.1), np.float32(0.1)
         inner = gym.wrappers.RescaleAction(gym.make("CoopInsertionContact-v0"), low, high)
+        nested = gym.wrappers.RecordEpisodeStatistics(inner)
+        with pytest.raises(ArgumentError, match="RescaleAction changes"):
+            ShieldWrapper(nested)
         for env in (inner, gym.wrappers.RepeatAction(gym.make("CoopInsertion-v0"), 2)):
             with pytest.raises(ArgumentError, match=f"{type(env).__name__} changes"):
                 ShieldWrapper(env)
@@ -232,6 +260,9 @@ def test_other_environments_and_numbers_are_refused(shield: KinematicShield) -> 
     for late in ("randomized", SimToReal(latency=1)):
         with pytest.raises(ArgumentError, match="latency"):
             KinematicShield(CoopInsertionEnv(sim_to_real=late))
+    narrow = CoopInsertionEnv(geometry={**asdict(OPTIMIZED), "joint_max": np.radians(60.0)})
+    with pytest.raises(ArgumentError, match="leaves nothing of the joints' range"):
+        KinematicShield(narrow, {"joint": 0.42})
     with pytest.raises(ArgumentError, match="twelve moves"):
         ShieldWrapper(gym.make("CoopInsertionJoint-v0"))
     with pytest.raises(ArgumentError, match="state = "):
@@ -322,3 +353,6 @@ def test_masks_are_the_wrappers_on_the_way() -> None:
         for env, action in zip(alone, actions, strict=True):
             assert not env.step(action)[-1]["shielded"]
     assert tightened > 0
+    other = ShieldedInsertionEnv({"sigma": 0.2}, **ARGUMENTS)
+    with pytest.raises(StateError, match="other arguments"):
+        other.set_state(ShieldedInsertionEnv(**ARGUMENTS).get_state())

@@ -10,13 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv
-from coop_env.kinematics.rrs_kernels import limb_points
-from coop_env.simulation.collision import (
-    arm_points,
-    collides,
-    point_segment_distance,
-    segment_distance,
-)
+from coop_env.geometry import DELTA, DeltaGeometry
+from coop_env.kinematics import delta, rrs
+from coop_env.simulation.collision import collides, point_segment_distance, segment_distance
 from coop_env.simulation.state import Configuration, joint_angles
 
 Points = NDArray[np.float64]
@@ -49,27 +45,38 @@ def test_distances_of_segments_are_the_least_over_their_points(
     assert expected - length / 2000 <= got <= expected + 1e-12
 
 
-def clearance(env: CoopInsertionEnv, c: Configuration) -> float:
-    """Least gap between the two robots' bodies, all with all, with the chamfer's exemption."""
-    p, task = env.params, env.task
-    _, theta, pose, q = joint_angles(c, p)
-    radius, effector = p.delta.peg_radius, (c[0], c[1], c[2] + p.delta.base_height)
-    tip = (c[0], c[1], effector[2] - p.delta.peg_length)
-    centre, rotation = pose[:3], np.array(pose[3:]).reshape(3, 3)
-    arms = [arm_points(c[0], c[1], c[2], theta, i, p.delta) for i in range(3)]
-    upper = [(((*tip[:2], tip[2] + radius), effector), radius)]
-    upper += [((effector, effector), task.effector_radius)]
+def gap(
+    env: CoopInsertionEnv, at: Points, arms: Points, centre: Points, limbs: Points,
+    mouths: Points, chamfer: float,
+) -> float:  # fmt: skip
+    """Least gap between the two robots' bodies, all with all, with the chamfer's exemption.
+
+    Of the effector ``at``, a dome's ``centre``, and the points (3, 3, 3) of arms and limbs.
+    """
+    peg, task = env.params.delta, env.task
+    tip = at - [0.0, 0.0, peg.peg_length]
+    upper = [((np.add(tip, [0.0, 0.0, peg.peg_radius]), at), peg.peg_radius)]
+    upper += [((at, at), task.effector_radius)]
     upper += [((knee, joint), task.forearm_radius) for _, knee, joint in arms]
-    limbs = [limb_points(pose, q[i], i, p.rrs) for i in range(3)]
     lower = [((centre, joint), task.spoke_radius) for _, _, joint in limbs]
     lower += [((elbow, joint), task.limb_radius) for _, elbow, joint in limbs]
     lower += [((base, elbow), task.limb_radius) for base, elbow, _ in limbs]
-    mouths = np.array(centre) + task.dome_radius * np.array(task.hole_normals) @ rotation.T
-    exempt = np.linalg.norm(mouths - tip, axis=1).min() < p.task.chamfer + radius
+    exempt = np.linalg.norm(mouths - tip, axis=1).min() < chamfer + peg.peg_radius
     gaps = [segment_distance(*a, *b) - ra - rb for a, ra in upper for b, rb in lower]
     for a, ra in upper[1:] if exempt else upper:
         gaps.append(point_segment_distance(centre, *a) - ra - task.dome_radius)
     return min(gaps)
+
+
+def clearance(env: CoopInsertionEnv, c: Configuration, robot: DeltaGeometry = DELTA) -> float:
+    """The gap at a configuration of the nominal machine."""
+    up, platform = np.array([0.0, 0.0, robot.base_height]), rrs.platform_pose(c[3:])
+    mouths = platform.position + env.task.dome_radius * (
+        np.array(env.task.hole_normals) @ platform.rotation.T
+    )
+    arms = delta.limb_points(c[:3], robot) + up
+    limbs, chamfer = rrs.limb_points(c[3:]), env.task.chamfer
+    return gap(env, np.array(c[:3]) + up, arms, platform.position, limbs, mouths, chamfer)
 
 
 THICK = {
@@ -83,7 +90,7 @@ LONG = {"proximal_length": 0.3, "distal_length": 0.35, "base_height": 0.55, "peg
 
 
 @pytest.mark.parametrize(
-    ("task", "delta", "heights"),
+    ("task", "arms", "heights"),
     [
         ({}, {}, (-0.65, -0.4)),
         (THICK, {}, (-0.65, -0.4)),
@@ -93,9 +100,9 @@ LONG = {"proximal_length": 0.3, "distal_length": 0.35, "base_height": 0.55, "peg
     ids=["paper", "thick", "flat", "long"],
 )
 def test_configurations_collide_when_their_bodies_do(
-    task: dict[str, Any], delta: dict[str, Any], heights: tuple[float, float]
+    task: dict[str, Any], arms: dict[str, Any], heights: tuple[float, float]
 ) -> None:
-    env = CoopInsertionEnv(task=task, delta=delta)
+    env = CoopInsertionEnv(task=task, delta=arms)
     rng = np.random.default_rng(0)
     counts = {True: 0, False: 0}
     while min(counts.values()) < 40:
@@ -105,22 +112,28 @@ def test_configurations_collide_when_their_bodies_do(
         valid, theta, pose, q = joint_angles(c, env.params)
         if not valid:
             continue
-        gap = clearance(env, c)
+        free = clearance(env, c, DeltaGeometry(**arms)) >= 0.0
         hit = collides(c[0], c[1], c[2], theta, pose, q, env.params)
-        assert hit == (gap < 0.0)
+        assert hit != free
         counts[hit] += 1
 
 
 def test_the_peg_may_touch_the_dome_only_inside_a_chamfer() -> None:
     env = CoopInsertionEnv()
     statuses = []
-    for pitch in (-np.radians(10.0), 0.0):  # a hole's mouth at the top, or the bare apex
-        _, _, pose, _ = joint_angles((0.0, 0.0, -0.3, 0.0, pitch, 0.22), env.params)
+    for nx, ny, nz in (*env.task.hole_normals, (0.0, 0.0, 1.0)):  # the top: a mouth, or bare
+        roll, pitch = float(np.arcsin(ny)), float(-np.arctan2(nx, nz))
+        _, _, pose, _ = joint_angles((0.0, 0.0, -0.3, roll, pitch, 0.22), env.params)
         four_mm_deep = pose.z + 0.10 - 0.004 + 0.08 - 0.85
         statuses.append(
-            env.configuration_status((pose.x, pose.y, four_mm_deep, 0.0, pitch, pose.z))
+            env.configuration_status((pose.x, pose.y, four_mm_deep, roll, pitch, pose.z))
         )
-    assert statuses == [0, 2]
+    assert statuses == [0] * 6 + [2]
+    _, _, pose, _ = joint_angles((0.0, 0.0, -0.3, 0.0, -np.radians(10.0), 0.22), env.params)
+    side = np.sqrt((env.task.chamfer + env.params.delta.peg_radius) ** 2 - 0.004**2)
+    for beside, status in ((side - 1e-6, 0), (side + 1e-6, 2)):
+        c = (pose.x, pose.y + beside, pose.z + 0.10 - 0.004 + 0.08 - 0.85, 0.0, -np.radians(10.0))
+        assert env.configuration_status((*c, pose.z)) == status
 
 
 # a forearm alone touches the dome; in the last a spoke, and the link that ends there
@@ -134,9 +147,9 @@ LEANING = (
 @pytest.mark.parametrize("leaning", LEANING)
 def test_a_forearm_alone_collides_until_it_is_as_thin_as_the_gap(leaning: Configuration) -> None:
     thin = CoopInsertionEnv(task={"forearm_radius": 1e-3})
-    gap = 1e-3 + clearance(thin, leaning)  # from the forearm's axis
-    assert 1e-3 < gap < CoopInsertionEnv().task.forearm_radius == 0.010
-    for radius, status in ((0.010, 2), (gap + 1e-7, 2), (gap - 1e-7, 0)):
+    width = 1e-3 + clearance(thin, leaning)  # from the forearm's axis
+    assert 1e-3 < width < CoopInsertionEnv().task.forearm_radius == 0.010
+    for radius, status in ((0.010, 2), (width + 1e-7, 2), (width - 1e-7, 0)):
         env = CoopInsertionEnv(task={"forearm_radius": radius})
         assert env.configuration_status(leaning) == status
 

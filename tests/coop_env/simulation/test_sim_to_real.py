@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, SimToReal
-from coop_env.kinematics import rrs
+from coop_env.geometry import DELTA, OPTIMIZED
+from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.physics.model import Machine
 from coop_env.physics.task import start_configurations
@@ -18,6 +19,12 @@ from coop_env.simulation.collision import on_base
 from coop_env.simulation.machine import MACHINE, displaced, gaussian, uniform
 from coop_env.simulation.sim_to_real import RANDOMIZED, draw_machine
 from coop_env.simulation.state import state_dtype
+from tests.coop_env.simulation.test_collision import gap
+
+LENGTHS = (
+    ("base_radius", "proximal_length", "platform_radius", "distal_length"),
+    ("base_radius", "effector_radius", "proximal_length", "distal_length"),
+)
 
 
 @cache
@@ -137,29 +144,41 @@ def test_latency_executes_the_previous_action() -> None:
 
 
 def test_backlash_leaves_joints_behind_within_the_play() -> None:
+    """A joint stays where it is while that is within half the play of its command."""
     play = 0.01
     env = CoopInsertionEnv(sim_to_real=SimToReal(backlash=play))
     ideal = CoopInsertionEnv()
     env.reset(seed=0)
     ideal.reset(options={"configuration": env.configuration, "target": 0})
     rng = np.random.default_rng(0)
-    gaps = []
+    joints = np.concatenate([ideal.state["theta"], ideal.state["q"]])
+    assert env.state["machine"]["joints"] == pytest.approx(joints, abs=1e-12)
+    gaps, energy = [], 0.0
     for _ in range(100):
         action = int(rng.choice(np.flatnonzero(env.action_masks())))
         if env.step(action)[4]["violation"]:
             break
         ideal.reset(options={"configuration": env.configuration, "target": 0})
-        gaps.append(env.state["theta"] - ideal.state["theta"])
-    assert play / 3 < np.abs(gaps).max() <= play / 2 + 1e-12
+        there, wanted = (np.concatenate([e.state["theta"], e.state["q"]]) for e in (env, ideal))
+        before, joints = joints, np.clip(joints, wanted - play / 2, wanted + play / 2)
+        energy += np.abs(joints - before).sum()
+        assert env.state["energy"] == pytest.approx(energy, abs=1e-9)
+        assert there == pytest.approx(joints, abs=1e-9)
+        gaps.append(there - wanted)
+    assert np.min(gaps) < -play / 3 < play / 3 < np.max(gaps)
 
 
-def test_quantized_joints_stand_on_counts() -> None:
-    env = CoopInsertionEnv(sim_to_real=SimToReal(joint_resolution=0.005))
+def test_quantized_joints_stand_on_the_nearest_counts() -> None:
+    env, ideal = CoopInsertionEnv(sim_to_real=SimToReal(joint_resolution=0.005)), CoopInsertionEnv()
     env.reset(seed=1)
+    assert env.state["energy"] == 0.0
     for _ in range(10):
         env.step(int(np.flatnonzero(env.action_masks())[0]))
         counts = np.concatenate([env.state["theta"], env.state["q"]]) / 0.005
         np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
+        ideal.reset(options={"configuration": env.configuration, "target": 0})
+        wanted = np.concatenate([ideal.state["theta"], ideal.state["q"]]) / 0.005
+        np.testing.assert_array_less(np.abs(counts - wanted), 0.5 + 1e-9)
 
 
 def test_randomized_machines_differ_between_episodes_and_repeat_with_the_seed() -> None:
@@ -258,4 +277,47 @@ def test_the_links_stand_on_the_displaced_base() -> None:
     assert stands == pytest.approx(np.array([*elbows, *balls]) @ seen.T + base[:3], abs=1e-12)
     met = displaced(env.state["machine"], Pose(*pose.position, *pose.rotation.ravel()))
     assert met[:3] == pytest.approx(on_base(tuple(pose.position), params), abs=1e-12)
+    assert np.array(met[3:]).reshape(3, 3) == pytest.approx(seen @ pose.rotation, abs=1e-12)
     assert env.step(5)[-1]["collision"]
+
+
+def test_an_erring_machine_stands_where_its_links_lead_and_touches_nothing() -> None:
+    """With its own lengths, base and chamfer; against closed forms, and all pairs of bodies."""
+    bounds: dict[str, Any] = {
+        "link_length_error": 0.01, "base_position_error": 0.01, "base_tilt_error": 0.05,
+    }  # fmt: skip
+    env = CoopInsertionEnv(sim_to_real=SimToReal(chamfer_error=0.008, **bounds))
+    rng, weights = np.random.default_rng(0), np.ones(12) / 18
+    weights[[5, 10]] = 4 / 18  # down, and the platform up
+    gaps, refused = [], 0
+    for seed in range(60):
+        env.reset(seed=seed, options={"configuration": (0.0, 0.0, -0.41, 0.0, 0.0, 0.22)})
+        over = False
+        for _ in range(40):
+            *_, over, _, info = env.step(int(rng.choice(12, p=weights)))
+            refused += info["collision"]
+            if over:
+                break
+            if info["violation"]:
+                continue
+            s = env.state
+            lengths, base, at = (s["machine"][name] for name in ("lengths", "base", "actual"))
+            geometry = replace(OPTIMIZED, **dict(zip(LENGTHS[0], lengths[:4], strict=True)))
+            robot = replace(DELTA, **dict(zip(LENGTHS[1], lengths[4:], strict=True)))
+            assert rrs.inverse(at[3:], geometry).q == pytest.approx(s["q"], abs=1e-7)
+            assert delta.inverse(at[:3], robot).theta == pytest.approx(s["theta"], abs=1e-7)
+            assert s["sigma"] == pytest.approx(rrs.signed_sigma_min(at[3:], geometry), abs=1e-4)
+            turn, pose = Rotation.from_euler("XY", base[3:]), rrs.platform_pose(at[3:], geometry)
+            normals = turn.apply(np.array(env.task.hole_normals) @ pose.rotation.T)
+            centre = turn.apply(pose.position) + base[:3]
+            assert s["normals"] == pytest.approx(normals, abs=1e-9)
+            assert s["mouths"] == pytest.approx(centre + env.task.dome_radius * normals, abs=1e-9)
+            limbs = turn.apply(rrs.limb_points(at[3:], geometry).reshape(9, 3)) + base[:3]
+            up, chamfer = np.array([0.0, 0.0, DELTA.base_height]), float(s["machine"]["chamfer"])
+            near = np.linalg.norm(s["mouths"] - s["tip"], axis=1) < s["machine"]["tolerance"]
+            upright = normals[:, 2] > np.cos(env.task.angle_tolerance)
+            assert (s["inside"] == 1).tolist() == (near & upright).tolist()
+            arms, limbs = delta.limb_points(at[:3], robot) + up, limbs.reshape(3, 3, 3)
+            gaps.append(gap(env, at[:3] + up, arms, centre, limbs, s["mouths"], chamfer))
+    assert 0.0 <= min(gaps) < 1e-3
+    assert refused > 100

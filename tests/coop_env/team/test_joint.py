@@ -9,6 +9,8 @@ import pytest
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import OPTIMIZED, CoopInsertionEnv, CoopInsertionJointEnv
+from coop_env.physics.model import Machine
+from coop_env.physics.task import start_configurations
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.state import COLLISION, INVALID, SINGULAR, VALID
 from coop_env.team.agents import Team
@@ -137,6 +139,17 @@ def test_a_refused_robot_does_not_stop_the_other_from_inserting() -> None:
         np.testing.assert_array_equal(env.configuration[3:], platform)
         return
     pytest.fail("no plan ended with a move of the Delta")
+
+
+def test_what_arrives_singular_inserts_nothing() -> None:
+    for margin, inserted in ((0.05, True), (0.26, False)):  # sigma is 0.29, then 0.24
+        env = CoopInsertionJointEnv(task={"singular_margin": margin, "start_sigma": margin})
+        before = start_configurations(Machine(), 0.002)[0]
+        before[[2, 3]] += env.task.linear_step, -env.task.angular_step
+        env.reset(options={"configuration": before, "target": 0})
+        *_, info = env.step(joint_action(5, 0))  # what the Delta does is valid
+        assert info["singular"] is not inserted
+        assert (info["inserted"], info["n_filled"]) == (inserted, int(inserted))
 
 
 def test_when_both_hold_only_time_passes() -> None:
