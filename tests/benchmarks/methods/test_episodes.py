@@ -171,8 +171,11 @@ def test_running_side_by_side_changes_nothing() -> None:
         return np.array([int(np.flatnonzero(m)[int(1e4 * o.sum()) % m.sum()])
                          for o, m in zip(observations, masks, strict=True)])  # fmt: skip
 
-    together = run_policy(tilt, begin_episodes(ARGUMENTS, 0, 4), 0.01)
-    alone = [run_policy(tilt, [episode], 0.01)[0] for episode in begin_episodes(ARGUMENTS, 0, 4)]
+    episodes = begin_episodes(ARGUMENTS, 0, 4)
+    while not episodes[0].over:  # before the others begin: who runs stands in other rows
+        episodes[0].move(8)
+    together = run_policy(tilt, episodes, 0.01)[1:]
+    alone = [run_policy(tilt, [each], 0.01)[0] for each in begin_episodes(ARGUMENTS, 0, 4)[1:]]
     assert [repr(row) for row in together] == [repr(row) for row in alone]
 
 
@@ -195,6 +198,12 @@ def test_noise_is_what_it_says_and_stays_in_range() -> None:
     assert noisy.max() <= 1.0
     inside = (clean > 0.05) & (clean < 0.95)
     assert (noisy - clean)[inside].std() == pytest.approx(0.01, rel=0.1)
+    seen.clear()  # each episode and each seed has noise of its own
+    by_policy(watch, 8)(begin_episodes(ARGUMENTS, 0, 3), Condition({}, 0.01), lambda share: None)
+    drawn = np.vstack([noisy[:3] - clean[:3], seen[0] - clean[:3]])
+    within = inside[:3].all(axis=0)
+    assert np.ptp(drawn[:, within], axis=0).min() > 0.0
+    assert np.abs(np.corrcoef(drawn[:, within]) - np.eye(6)).max() < 0.99
 
 
 def test_each_condition_has_all_episodes_and_seconds_where_nothing_is_noisy() -> None:
