@@ -14,6 +14,7 @@ from coop_env.geometry import DELTA, DeltaGeometry
 from coop_env.kinematics import delta, rrs
 from coop_env.simulation.collision import collides, point_segment_distance, segment_distance
 from coop_env.simulation.state import Configuration, joint_angles
+from tests.coop_env.simulation.bodies import gap
 
 Points = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -43,29 +44,6 @@ def test_distances_of_segments_are_the_least_over_their_points(
     got = point_segment_distance(c, a, b)
     expected = least(np.array([c]), sampled(a, b, 2001))
     assert expected - length / 2000 <= got <= expected + 1e-12
-
-
-def gap(
-    env: CoopInsertionEnv, at: Points, arms: Points, centre: Points, limbs: Points,
-    mouths: Points, chamfer: float,
-) -> float:  # fmt: skip
-    """Least gap between the two robots' bodies, all with all, with the chamfer's exemption.
-
-    Of the effector ``at``, a dome's ``centre``, and the points (3, 3, 3) of arms and limbs.
-    """
-    peg, task = env.params.delta, env.task
-    tip = at - [0.0, 0.0, peg.peg_length]
-    upper = [((np.add(tip, [0.0, 0.0, peg.peg_radius]), at), peg.peg_radius)]
-    upper += [((at, at), task.effector_radius)]
-    upper += [((knee, joint), task.forearm_radius) for _, knee, joint in arms]
-    lower = [((centre, joint), task.spoke_radius) for _, _, joint in limbs]
-    lower += [((elbow, joint), task.limb_radius) for _, elbow, joint in limbs]
-    lower += [((base, elbow), task.limb_radius) for base, elbow, _ in limbs]
-    exempt = np.linalg.norm(mouths - tip, axis=1).min() < chamfer + peg.peg_radius
-    gaps = [segment_distance(*a, *b) - ra - rb for a, ra in upper for b, rb in lower]
-    for a, ra in upper[1:] if exempt else upper:
-        gaps.append(point_segment_distance(centre, *a) - ra - task.dome_radius)
-    return min(gaps)
 
 
 def clearance(env: CoopInsertionEnv, c: Configuration, robot: DeltaGeometry = DELTA) -> float:

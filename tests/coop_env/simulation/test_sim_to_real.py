@@ -19,7 +19,7 @@ from coop_env.simulation.collision import on_base
 from coop_env.simulation.machine import MACHINE, displaced, gaussian, uniform
 from coop_env.simulation.sim_to_real import RANDOMIZED, draw_machine
 from coop_env.simulation.state import state_dtype
-from tests.coop_env.simulation.test_collision import gap
+from tests.coop_env.simulation.bodies import gap
 
 LENGTHS = (
     ("base_radius", "proximal_length", "platform_radius", "distal_length"),
