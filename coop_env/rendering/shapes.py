@@ -27,7 +27,7 @@ class Mesh:
     faces: IntArray
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)
 def revolve(profile: Profile, sides: int = 24) -> Mesh:
     """Surface of revolution about z of a profile of (radius, z) points, the outside to its right.
 

@@ -79,26 +79,31 @@ class Viewer:
     """A browser view of one environment, which it plays.
 
     Args:
-        env: what to show; it is reset first.
+        env: what to show; it makes a move first, so that all is compiled, and is reset.
         act: chooses a move from (observation, action masks) for the play button; None has none.
         host: address to listen on, by default for this machine alone.
         port: 1 to 65535, free.
 
     Raises:
-        ViewerError: viser is not installed, or the port cannot be used.
+        ViewerError: viser is not installed, the port cannot be used, or both robots move at once.
     """
 
     def __init__(
         self, env: CoopInsertionEnv, act: Act | None = None, *, host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:  # fmt: skip
+        if getattr(env.action_space, "n", None) != N_ACTIONS:
+            raise ViewerError(f"{type(env).__name__}: the view shows robots that move in turn")
         self.env = env
+        env.reset()  # what compiles has compiled before anyone can look
+        env.step(int(np.argmax(env.action_masks())))
+        env.configuration_status(env.configuration)
         self._observation, _ = env.reset()
-        bodies(env.scene())  # what compiles for it has compiled before anyone can look
-        env.action_masks()
+        bodies(env.scene())
         self._server = _open_server(host, port)
         self._act = act
         self._lock = threading.RLock()  # the browser's events come on threads of their own
+        self._wanted = (0, 0.0)  # axis and value of the slider moved last
         self._playing = threading.Event()
         self._closed = threading.Event()
         self._shown: dict[str, tuple[Body, Any]] = {}  # bodies by name, and their handles
@@ -144,7 +149,10 @@ class Viewer:
 
         def on_update(event: Any) -> None:
             if event.client is not None:  # None: the slider follows the robot, nobody moved it
-                self.place(axis, float(slider.value))
+                wanted = self._wanted = (axis, float(slider.value))
+                with self._lock:
+                    if self._wanted is wanted:  # else it is dragged on already
+                        self.place(*wanted)
 
         slider.on_update(on_update)
         return slider
@@ -181,14 +189,14 @@ class Viewer:
         """Make one of the twelve moves; a masked or colliding one is refused with a message."""
         with self._lock:
             name = _name(action)
-            if self.env.scene().status != "running":
+            if not self.env.running:
                 return self._refuse("the episode is over: reset, or move a slider")
             if not self.env.action_masks()[action]:
                 return self._refuse(f"{name}: masked ({REASONS[INVALID]}, or the masks' arguments)")
             self._observation, reward, _, _, info = self.env.step(action)
             if info["collision"]:
                 return self._refuse(f"{name}: the robots would collide")
-            self._show(f"{name}: reward {reward:+.2f}" + (", inserted" * info["inserted"]))
+            self._show(f"**{name}**: reward {reward:+.2f}" + (", inserted" * info["inserted"]))
             return True
 
     def reset(self) -> None:
@@ -224,7 +232,7 @@ class Viewer:
     def _play_move(self) -> None:
         if not self._playing.is_set() or self._act is None:
             return
-        if self.env.scene().status != "running":
+        if not self.env.running:
             self.stop()
             return
         try:
@@ -251,7 +259,7 @@ class Viewer:
         for axis, slider in enumerate(self.sliders):
             value = scene.configuration[axis]
             slider.value = round(math.degrees(value) if axis in _ANGLES else value, 6)
-        masks = self.env.action_masks() & (scene.status == "running")
+        masks = self.env.action_masks() if self.env.running else np.zeros(N_ACTIONS, np.bool_)
         for button, possible in zip(self.buttons, masks, strict=True):
             button.disabled = not possible
 

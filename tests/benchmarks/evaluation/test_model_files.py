@@ -129,6 +129,8 @@ def test_a_policy_beside_other_settings_is_one_error(tmp_path: Path) -> None:
         (tmp_path / "config.yaml").write_text(text.replace(old, new), "utf-8")
         with pytest.raises(BenchmarkError):
             load_model(tmp_path / "policy.zip")
+    with pytest.raises(BenchmarkError, match="was not trained on the insertion of"):
+        load_model(RESULTS / "classic/contact/runs/standard-sac-s0/policy.zip")
 
 
 def test_a_packaged_model_needs_no_trust(tmp_path: Path) -> None:

@@ -2,8 +2,11 @@
 
 import socket
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,7 @@ from viser.transforms import SO3
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.bodies import bodies
 from coop_env.rendering.viewer import Viewer, ViewerError
+from coop_env.team.joint_env import CoopInsertionJointEnv
 
 START = (0.0, 0.0, -0.38, 0.0, 0.0, 0.23)
 
@@ -87,6 +91,29 @@ def test_move_is_made_and_buttons_follow_the_mask(view: Viewer) -> None:
     assert view.env.configuration == pytest.approx(before, abs=0.0)
 
 
+def test_a_move_is_named_with_its_sign(view: Viewer) -> None:
+    assert view.move(1)
+    assert view.message.content.startswith("**- x**: reward ")  # a bare "- " would be a bullet
+
+
+def test_of_a_dragged_slider_the_last_position_counts(
+    view: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    placed: list[float] = []
+    monkeypatch.setattr(view, "place", lambda axis, value: placed.append(value))
+    slider, follow = view.sliders[0], view.sliders[0]._impl.update_cb[0]
+    drags = []
+    with view._lock:  # as while another position is shown
+        for value in (0.01, 0.02, 0.03):
+            slider._impl.value = value
+            drags.append(threading.Thread(target=follow, args=(SimpleNamespace(client=1),)))
+            drags[-1].start()
+            time.sleep(0.05)
+    for drag in drags:
+        drag.join()
+    assert placed == [0.03]
+
+
 def test_colliding_move_is_refused_aloud(view: Viewer) -> None:
     for _ in range(20):
         if not view.move(5):  # down onto the dome
@@ -120,6 +147,36 @@ def test_play_lets_the_callable_act_and_stops_on_its_error() -> None:
         assert viewer.env.scene().time == played
 
 
+def test_play_survives_an_environment_that_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = CoopInsertionEnv()
+    env.reset()
+    scene = env.scene()
+
+    def breaks(*_: Any) -> None:
+        env._started = False  # as of a finish that raises on the twin
+        raise RuntimeError("broken")
+
+    viewer = Viewer(env, lambda observation, masks: 0, port=_free_port())
+    try:
+        with monkeypatch.context() as broken:
+            broken.setattr(env, "step", breaks)
+            broken.setattr(env, "scene", lambda: scene)
+            viewer.toggle_play()
+            viewer._play_move()
+        assert "broken" in viewer.message.content
+        assert all(button.disabled for button in viewer.buttons)
+        assert viewer._player.is_alive()
+        viewer.reset()
+        assert viewer.move(0) or viewer.move(1)
+    finally:
+        viewer.close()
+
+
+def test_robots_that_move_at_once_are_refused() -> None:
+    with pytest.raises(ViewerError, match="CoopInsertionJointEnv: the view"):
+        Viewer(CoopInsertionJointEnv(), port=_free_port())
+
+
 def test_a_port_that_cannot_be_used_and_a_missing_viser_are_one_clear_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -145,3 +202,10 @@ def test_every_body_stands_in_the_browser_where_the_scene_has_it(view: Viewer) -
             np.testing.assert_allclose(handle.position, body.position)
             np.testing.assert_allclose(SO3(handle.wxyz).as_matrix(), body.rotation, atol=1e-9)
         assert view.move(0)
+
+
+def test_meshes_of_a_long_trace_come_out_of_the_cache(view: Viewer) -> None:
+    way = np.cumsum(np.linspace(0.001, 0.02, 451))[:, None] * np.array([1.0, 0.0, 0.0])
+    scene = replace(view.env.scene(), trace=way)
+    first, again = bodies(scene), bodies(scene)
+    assert all(a.mesh is b.mesh for a, b in zip(first, again, strict=True))
