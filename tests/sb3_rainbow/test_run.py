@@ -75,8 +75,7 @@ def test_every_kind_of_observation(env: Any, policy: str) -> None:
 def test_vec_normalize() -> None:
     three: dict[str, Any] = {"wrapper_class": DiscretizeAction, "wrapper_kwargs": {"bins": 3}}
     env = VecNormalize(make_vec_env("Pendulum-v1", n_envs=2, **three))
-    buffer = make(env).learn(450).replay_buffer
-    assert isinstance(buffer, PrioritizedReplayBuffer)
+    buffer: Any = make(env).learn(450).replay_buffer
     # Stored as the env gave them, normalized with today's statistics when drawn
     leaves = np.flatnonzero(buffer.tree.leaves)
     plain, normalized = buffer._get_samples(leaves), buffer._get_samples(leaves, env)
@@ -186,19 +185,30 @@ def test_more_envs_than_the_target_interval_is_a_warning() -> None:
 
 
 def test_training_before_a_window_is_complete_waits() -> None:
-    model = make(n_steps=5, learning_starts=0, train_freq=1).learn(12)
-    assert model._n_updates == 12 - 4
+    assert make(n_steps=5, learning_starts=0, train_freq=1).learn(12)._n_updates == 12 - 4
 
 
-def test_no_return_crosses_a_reset_that_cannot_be_seen() -> None:
+class Hearing(PrioritizedReplayBuffer):
+    """A subclass that wants to know when the envs are reset."""
+
+    heard = 0
+
+    def truncate(self) -> None:
+        self.heard += 1
+        super().truncate()
+
+
+def test_no_return_crosses_a_reset_that_cannot_be_seen_of_which_a_subclass_hears() -> None:
     env = Toy(spaces.Box(0, 1, (1,)), lambda step: np.zeros(1, np.float32), float)
-    model = make(env, train_freq=1, gamma=1.0, n_steps=3).learn(15)
-    model.learn(15)
+    model = make(env, train_freq=1, gamma=1.0, n_steps=3, replay_buffer_class=Hearing).learn(15)
     buffer: Any = model.replay_buffer
+    before = buffer.heard
+    model.learn(15)
     returns = buffer._get_samples(np.arange(12, 16)).rewards.ravel().tolist()
     assert returns == [13 + 14 + 15, 14 + 15, 15, 1 + 2 + 3]
-    assert buffer.timeouts[:, 0].nonzero()[0].tolist() == [14]
     model.learn(5, reset_num_timesteps=False)
+    assert buffer.heard == before + 1
+    # Cut there, not ended: the return goes on from where the episode stood.
     assert buffer.timeouts[:, 0].nonzero()[0].tolist() == [14]
 
 

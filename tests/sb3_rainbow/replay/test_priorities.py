@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch as th
 from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare
-from stable_baselines3 import SAC
 from stable_baselines3.common.utils import set_random_seed
 
 from sb3_rainbow import PrioritizedReplayBuffer, SumTree
@@ -120,14 +118,6 @@ def test_a_reset_forgets_everything_and_sampling_before_a_window_is_complete_say
     assert (buffer.size(), buffer.tree.total, buffer.can_sample) == (0, 0.0, False)
     with pytest.raises(ValueError, match="no complete n-step window"):
         buffer.sample(4)
-
-
-def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
-    ours: Any = {"replay_buffer_class": PrioritizedReplayBuffer, "buffer_size": 500}
-    model = SAC("MlpPolicy", "Pendulum-v1", learning_starts=20, **ours).learn(40)
-    actions = model.replay_buffer.sample(20).actions  # type: ignore[union-attr]
-    assert actions.dtype == th.float32
-    assert (actions != actions.round()).all()
 
 
 @settings(max_examples=60)

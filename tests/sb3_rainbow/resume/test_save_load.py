@@ -148,7 +148,6 @@ def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int, n_
         ({"target_update_interval": 100}, {"target_update_interval": None}, 5e-3),
         ({"target_update_interval": 100}, {"target_update_interval": None, "tau": 1.0}, 1.0),
         ({"tau": 0.005}, {"target_update_interval": 100}, 0.005),
-        ({"tau": 1e-3}, {"target_update_interval": 100}, 1e-3),
         ({}, {"custom_objects": {"target_update_interval": 100}}, 1.0),
     ],
 )
