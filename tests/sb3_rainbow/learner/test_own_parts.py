@@ -1,5 +1,6 @@
 """Layers, heads and noise of a user's own take part as they would in SB3."""
 
+import copy
 import io
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -99,6 +100,16 @@ def flattened(model: Rainbow) -> None:
         net.features_extractor.flatten = nn.Sequential(nn.Flatten(), nn.Tanh())
 
 
+class Spectrum(nn.Linear):
+    """Its weights are complex, for which torch has no fused Adam."""
+
+    def __init__(self) -> None:
+        super().__init__(4, 8, dtype=th.cfloat)
+
+    def forward(self, x: th.Tensor) -> th.Tensor:
+        return super().forward(x.to(th.cfloat)).abs()
+
+
 @pytest.mark.filterwarnings("ignore:.*torch.jit.script")
 @pytest.mark.filterwarnings("ignore:Guards may run slower on Python 3.13.0")  # torch.compile's
 @pytest.mark.parametrize(
@@ -110,8 +121,10 @@ def flattened(model: Rainbow) -> None:
         ("MlpPolicy", {}, compiled),
         ("MlpPolicy", {}, flattened),
         ("MlpPolicy", {}, lambda model: model.policy.share_memory()),
+        ("MlpPolicy", extracting(lambda: nn.Sequential(nn.LazyLinear(8), nn.ReLU()), 8), None),
+        ("MlpPolicy", extracting(Spectrum, 8), None),
     ],
-    ids=["scripted", "built", "tied", "compiled", "flattened", "shared"],
+    ids=["scripted", "built", "tied", "compiled", "flattened", "shared", "lazy", "complex"],
 )
 def test_parts_of_all_kinds_learn_as_torch_does(policy: Any, kwargs: Any, change: Any) -> None:
     vectors = []
@@ -119,8 +132,10 @@ def test_parts_of_all_kinds_learn_as_torch_does(policy: Any, kwargs: Any, change
         model = make(policy, policy_kwargs=kwargs, cpu_kernels=kernels)
         if change is not None:
             change(model)
+        before = copy.deepcopy(list(model.q_net.parameters()))
         shared = [p.is_shared() for p in model.policy.parameters()]
         model.learn(60)
+        assert not any(map(th.equal, before, model.q_net.parameters()))
         assert [p.is_shared() for p in model.policy.parameters()] == shared
         vectors.append(weights(model.policy))
     th.testing.assert_close(*vectors, atol=5e-3, rtol=0.0)  # rounding, 60 updates later
@@ -194,37 +209,8 @@ def test_statistics_of_an_extractor_are_learned_shared_or_not(policy: Any) -> No
     assert all(int(m.num_batches_tracked or 0) >= model._n_updates > 0 for m in counts)
 
 
-@pytest.mark.parametrize("kernels", [True, False])
-def test_an_extractor_may_find_its_sizes_out(kernels: bool) -> None:
-    kwargs = extracting(lambda: nn.Sequential(nn.LazyLinear(8), nn.ReLU()), 8)
-    model = make(policy_kwargs=kwargs, cpu_kernels=kernels)
-    (layer,) = (m for m in model.q_net.features_extractor.modules() if isinstance(m, nn.Linear))
-    before = weights(layer)
-    model.learn(60)
-    assert not th.equal(before, weights(layer))
-
-
-class Spectrum(nn.Linear):
-    """Its weights are complex, for which torch has no fused Adam."""
-
-    def __init__(self) -> None:
-        super().__init__(4, 8, dtype=th.cfloat)
-
-    def forward(self, x: th.Tensor) -> th.Tensor:
-        return super().forward(x.to(th.cfloat)).abs()
-
-
-def test_an_extractor_may_have_complex_weights() -> None:
-    model = make(policy_kwargs=extracting(Spectrum, 8))
-    (layer,) = (m for m in model.q_net.modules() if isinstance(m, Spectrum))
-    before = layer.weight.detach().clone()
-    model.learn(60)
-    assert not th.equal(before, layer.weight)
-
-
 def test_a_foreign_sample_has_a_weight_and_a_discount_for_each_transition() -> None:
-    n = 5
-    column = th.linspace(0.1, 1.0, n)[:, None]
+    column = th.linspace(0.1, 1.0, 5)[:, None]
     given: Any = dict.fromkeys(("observations", "next_observations", "dones", "rewards"), column)
     own = {"actions": column, "weights": column, "discounts": column[:, 0]}
     batch = as_batch(SimpleNamespace(**given, **own), 0.9, masking=False)
@@ -253,8 +239,7 @@ def test_dropout_put_into_the_target_is_off() -> None:
 
 
 def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> None:
-    model = make(tau=0.5, prioritized=False, n_steps=1)
-    model.save(tmp_path / "model")
+    make(tau=0.5, prioritized=False, n_steps=1).save(tmp_path / "model")
     path = tmp_path / "model.zip"
     given: Any = dict.fromkeys(("tau", "prioritized", "n_steps", "learning_rate", "distributional"))
     loaded = Rainbow.load(path, **given)
@@ -278,8 +263,7 @@ class Viewing(nn.Conv2d):
 def test_an_extractor_that_views_its_images_as_rows() -> None:
     env = FakeImageEnv(2, screen_height=40, screen_width=40, n_channels=3, discrete=True)
     kwargs = extracting(lambda: Viewing(3, 4, 8, stride=6), 4 * 6 * 6)
-    model = make("CnnPolicy", env, policy_kwargs=kwargs)
-    assert model.learn(24)._n_updates > 0
+    assert make("CnnPolicy", env, policy_kwargs=kwargs).learn(24)._n_updates > 0
 
 
 class Running(BaseFeaturesExtractor):
