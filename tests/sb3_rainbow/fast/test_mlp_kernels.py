@@ -12,7 +12,6 @@ from stable_baselines3.common.torch_layers import NatureCNN
 from torch import nn
 
 from sb3_rainbow.fast import learning_kernels as kernels
-from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
@@ -177,9 +176,8 @@ def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
 
 def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
     learner = make_learner(True)
-    optimizer = learner.policy.optimizer
-    del optimizer.param_groups[0]["decoupled_weight_decay"]  # as torch before 2.7
-    assert AdamOnVector.is_possible(optimizer, set(map(id, learner.policy.q_net.parameters())))
+    del learner.policy.optimizer.param_groups[0]["decoupled_weight_decay"]  # as torch before 2.7
+    assert learner.kernels() is not None
 
 
 @pytest.mark.parametrize("images", [False, True])

@@ -118,18 +118,6 @@ def test_masks_of_every_kind_of_env_are_stored(make_env: Callable[[], Any]) -> N
     model.get_env().close()  # type: ignore[union-attr]
 
 
-WRAP_EACH = "wrap each env in sb3_rainbow.TerminalActionMask"
-
-
-def test_subprocess_envs_without_it_warn_once() -> None:
-    env = subprocesses(lambda env: env)
-    model = small_model(env)
-    with pytest.warns(UserWarning, match=WRAP_EACH) as seen:
-        model.learn(60)
-    assert len(seen) == 1
-    env.close()
-
-
 class OneLess(VecMonitor):
     """Forbids what is allowed first, unless nothing else is."""
 
@@ -140,10 +128,17 @@ class OneLess(VecMonitor):
         return masks
 
 
-def test_masks_that_a_wrapper_of_the_batch_changes_are_not_taken_from_below() -> None:
-    model = small_model(OneLess(DummyVecEnv([ClockEnv])))
-    with pytest.warns(UserWarning, match=WRAP_EACH):
-        model.learn(60)
+@pytest.mark.parametrize(
+    "make_env",
+    [lambda: subprocesses(lambda env: env), lambda: OneLess(DummyVecEnv([ClockEnv]))],
+    ids=["subprocesses", "a wrapper of the batch changes them"],
+)
+def test_masks_that_cannot_be_taken_from_below_are_told_once(make_env: Callable[[], Any]) -> None:
+    env = make_env()
+    with pytest.warns(UserWarning, match="wrap each env in sb3_rainbow.TerminalActionMask") as seen:
+        small_model(env).learn(60)
+    assert len(seen) == 1
+    env.close()
 
 
 @pytest.mark.parametrize("use_masking", ["auto", True, False])
@@ -194,8 +189,7 @@ def test_the_wrapper_around_a_monitor_is_one_and_not_seen() -> None:
         assert [vars(e.unwrapped)[name] for e in wrapped] == env.get_attr(name) == [3, 3]
         env.set_attr(name, 4)
         assert [vars(e.unwrapped)[name] for e in wrapped] == env.get_attr(name) == [4, 4]
-    unknown = env.env_method("set_wrapper_attr", "no_such_thing", 1, force=False)
-    assert unknown == [False, False]
+    assert env.env_method("set_wrapper_attr", "no_such_thing", 1, force=False) == [False, False]
 
 
 def test_predict_obeys_masks_of_one_observation_and_of_a_batch() -> None:
