@@ -115,8 +115,11 @@ def test_an_include_is_filled_and_filled_again(tmp_path: Path) -> None:
     ((_, (problem,)),) = blocks.check(results, known)
     assert problem.startswith(f"{page} differs from stored data (line 5: stored '| 95 % |'")
     (results / "a" / "b.md").unlink()
+    gone = f"{page}: results/a/b.md is no file of"
     ((_, (problem,)),) = blocks.check(results, known)
-    assert "is no file of" in problem
+    assert problem.startswith(gone)
+    with pytest.raises(BenchmarkError, match=f"^{gone}"):
+        blocks.rewrite(results, known)
 
 
 @pytest.mark.parametrize("name", ["results/audit/none.md", "results/../page.md", "page.md"])
