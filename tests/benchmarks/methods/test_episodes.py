@@ -106,10 +106,12 @@ def test_a_row_keeps_the_first_insertion_beside_the_end() -> None:
     env = CoopInsertionEnv(reward="progress", mask_singularities=False)
     episode, rng = Episode(env, 0, episode_seeds(0, 1)[0]), np.random.default_rng(0)
     oracle, infos, seconds = LatticeOracle(), list[dict[str, Any]](), list[float]()
+    way = [env.configuration]
     for holes in (1, 2):
-        while len(episode.insertions) < holes:
+        while len(episode.insertions) < holes:  # the optimum, with random moves, some refused
             moves: Any = oracle.plan(env).moves
             infos.append(episode.move(int(rng.integers(12) if rng.random() < 0.3 else moves[0])))
+            way.append(env.configuration)
         seconds.append(episode.seconds_first({}))
     infos += [episode.move(move) for move in (4, 5)]
     row = episode.row()
@@ -123,8 +125,16 @@ def test_a_row_keeps_the_first_insertion_beside_the_end() -> None:
     assert (row["collisions_first"], row["energy_first"]) == (before, infos[first]["energy"])
     assert row["collisions"] > before
     assert row["energy"] > infos[first]["energy"]
-    assert seconds[0] == seconds[1]
+    # the joints' trajectory passes each configuration once, as a refused move leads nowhere
+    assert any(info["violation"] for info in infos[: first + 1])
+    there = way[: first + 2]
+    met = [at for k, at in enumerate(there) if k == 0 or not np.array_equal(at, there[k - 1])]
+    assert seconds == 2 * [make_trajectory(np.array(met)).duration]
+    slow = {"geometry": dataclasses.replace(GEOMETRIES["optimized"], max_joint_velocity=0.3)}
+    assert episode.seconds_first(slow) > seconds[0]
+    assert np.isnan(episode.seconds_first({"sim_to_real": {"base_position_error": 0.003}}))
     fallen = Episode(env, 0, 0)
+    assert np.isnan(fallen.seconds_first({}))  # without an insertion
     while not fallen.over:
         fallen.move(8)
     assert fallen.row()["singular"]
@@ -146,8 +156,7 @@ def test_an_episodes_environment_is_the_tracks() -> None:
 
 def test_initial_states_depend_on_seed_and_episode_alone() -> None:
     def starts(seed: int, reward: str) -> list[object]:
-        arguments = {"reward": reward}
-        return [episode.row()["start"] for episode in begin_episodes(arguments, seed, 5)]
+        return [each.row()["start"] for each in begin_episodes({"reward": reward}, seed, 5)]
 
     assert starts(0, "paper") == starts(0, "progress")
     assert not set(starts(0, "progress")) & set(starts(1, "progress"))
@@ -218,23 +227,3 @@ def test_each_condition_has_all_episodes_and_seconds_where_nothing_is_noisy() ->
     assert report == [0.25, 0.5, 0.75, 1.0]
     others = play(player, preset, 3, both[:1], starts=7)
     assert [row["reset_seed"] for row in others] == episode_seeds(3, 2, starts=7)
-
-
-def test_seconds_to_the_first_insertion_are_those_of_the_joints_trajectory() -> None:
-    env = CoopInsertionEnv(reward="progress", mask_singularities=False)
-    episode = Episode(env, 0, episode_seeds(0, 1)[0])
-    rng, oracle, way, refused = np.random.default_rng(0), LatticeOracle(), [], 0
-    way.append(env.configuration)
-    while not episode.insertions:  # the optimum, with a third of random moves, some refused
-        moves = oracle.plan(env).moves
-        assert moves is not None
-        info = episode.move(int(rng.integers(12) if rng.random() < 0.3 else moves[0]))
-        refused += bool(info["violation"])
-        way.append(env.configuration)
-    assert refused
-    met = [at for k, at in enumerate(way) if k == 0 or not np.array_equal(at, way[k - 1])]
-    assert episode.seconds_first({}) == make_trajectory(np.array(met)).duration
-    slow = {"geometry": dataclasses.replace(GEOMETRIES["optimized"], max_joint_velocity=0.3)}
-    assert episode.seconds_first(slow) > episode.seconds_first({})
-    assert np.isnan(episode.seconds_first({"sim_to_real": {"base_position_error": 0.003}}))
-    assert np.isnan(Episode(env, 0, 0).seconds_first({}))  # without an insertion

@@ -98,6 +98,8 @@ def test_both_commands_write_what_they_say(tmp_path: Path, done: Command, refuse
     assert audit.Audit.problems(tmp_path) == []
     learned.assign(holes=99).to_csv(tmp_path / "audit" / "learned.csv", index=False)
     assert any("learned.csv differs from the runs" in p for p in audit.Audit.problems(tmp_path))
+    Store.open(tmp_path, "team", create=True)
+    assert "the robots move at once" in refused(*fails, "--preset", "team", "--track", "central")
 
 
 def test_causes_are_told_apart() -> None:

@@ -14,7 +14,6 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.runs.store import Store
 from benchmarks.studies import catalogue, speed
 from benchmarks.studies.base import Measured, Study
 from benchmarks.studies.speed import in_turns, measure_updates
@@ -34,9 +33,7 @@ def test_the_command_writes_what_it_prints(site: Any) -> None:
     assert parts["steps"]["batch of 64"] < parts["steps"]["SB3 DummyVecEnv of 64"]
 
 
-def test_times_are_medians_over_all_rounds_but_the_first(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_times_are_medians_over_all_rounds_but_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
     now, seconds = [0.0], iter([9.0, 0.1, 0.5, 0.2])
     monkeypatch.setattr(time, "process_time", lambda: now[0])
 
@@ -71,13 +68,11 @@ def test_each_learner_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
         *("Rainbow", "Rainbow, categorical", "Rainbow, torch eager"),
     }
     assert models["Rainbow"].q_net.net_arch == models["SB3 DQN"].q_net.net_arch == [16, 8]
-    result = measure_updates(models, 3, 1)
-    assert all(rates["train_cpu"] > 0.0 for rates in result.values())
+    assert all(rates["train_cpu"] > 0.0 for rates in measure_updates(models, 3, 1).values())
 
 
 def test_each_learner_of_images_is_measured() -> None:
-    images = speed.make_models(None)
-    assert set(images) == {
+    assert set(speed.make_models(None)) == {
         *("SB3 DQN", "sb3-contrib QR-DQN", "Rainbow", "Rainbow, by default two streams of 512")
     }
 
@@ -187,9 +182,3 @@ def test_a_study_prints_what_it_found_and_no_other_stores(
     out = capsys.readouterr().out
     assert "of two" in out
     assert "of three" not in out
-
-
-def test_failures_are_of_robots_that_take_turns(tmp_path: Path, refused: Command) -> None:
-    Store.open(tmp_path, "team", create=True)
-    words = ["study", "failures", "--preset", "team", "--track", "central"]
-    assert "the robots move at once" in refused(*words, "--results", str(tmp_path))
