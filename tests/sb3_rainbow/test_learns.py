@@ -115,8 +115,7 @@ def test_identity_with_masks_and_several_envs() -> None:
     for i, single in enumerate(env.envs):  # its states come from its own space, seeded by nobody
         single.action_space.seed(i)
     # enough random answers that each state has met its own: noise fades before it tries them all
-    settings = {**SETTINGS, "gradient_steps": 2, "learning_starts": 600}
-    model = Rainbow("MlpPolicy", env, **settings)
+    model = Rainbow("MlpPolicy", env, **{**SETTINGS, "gradient_steps": 2, "learning_starts": 600})
     model.learn(3000)
     mean, _ = evaluate_masked(model, env, n_eval_episodes=8, warn=False)  # type: ignore[arg-type]
     assert np.mean(mean) > 90

@@ -47,8 +47,7 @@ def least(env: CoopInsertionEnv, weight: float, ahead: bool) -> list[tuple[float
 
 def choose(method: str, episode: Episode, weights: Controls = WEIGHTS) -> int:
     chooser = control(method, weights, 0)([episode])
-    masks = episode.env.action_masks()[None]
-    return int(chooser(episode.observation[None], masks, [0])[0])
+    return int(chooser(episode.observation[None], episode.env.action_masks()[None], [0])[0])
 
 
 @pytest.mark.parametrize("arguments", [SAFE, MEMORY, {}], ids=["safe", "memory", "paper"])

@@ -39,9 +39,7 @@ both = pytest.mark.parametrize("at_once", [False, True], ids=["in turn", "at onc
 
 
 @pytest.mark.parametrize("arguments", [{"geometry": "initial"}, {}, {"pose_model": "paper"}])
-def test_plans_insert_touch_nothing_and_at_once_are_never_longer(
-    arguments: dict[str, Any],
-) -> None:
+def test_plans_insert_touch_nothing_and_at_once_are_never_longer(arguments: dict[str, Any]) -> None:
     env, joint_env = CoopInsertionEnv(**arguments), CoopInsertionJointEnv(**arguments)
     oracle, joint = LatticeOracle(), LatticeOracle(at_once=True)
     solved = shorter = 0

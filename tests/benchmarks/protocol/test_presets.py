@@ -49,9 +49,8 @@ def test_a_group_of_runs_may_have_seeds_of_its_own() -> None:
 
 
 def test_the_longest_runs_begin_first_and_of_public_tasks_seed_by_seed() -> None:
-    cells = expand(smoke_preset(seeds=[0, 1]))
     first = [(True, 0)] * 2 + [(True, 1)] * 2 + [(False, 0)] * 3 + [(False, 1)] * 3
-    assert [(cell.learns, cell.seed) for cell in cells] == first
+    assert [(cell.learns, cell.seed) for cell in expand(smoke_preset(seeds=[0, 1]))] == first
     suite = dataclasses.replace(load_suite("tiny"), seeds=[0, 1])
     costs = [(cell.seed, -units_of(settings(suite, cell))) for cell in expand(suite)]
     assert costs == sorted(costs)

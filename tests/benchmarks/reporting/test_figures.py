@@ -78,8 +78,7 @@ def test_figures_need_no_torch(tmp_path: Path) -> None:
         "heavy = {'torch', 'stable_baselines3', 'sb3_contrib', 'tensorboard'};"
         "print(sorted(heavy & set(sys.modules)))"
     )
-    done = python("-c", code, str(tmp_path), cwd=ROOT)
-    assert done.stdout.strip().endswith("\n[]")
+    assert python("-c", code, str(tmp_path), cwd=ROOT).stdout.strip().endswith("\n[]")
     result = {picture.name: picture for picture in pictures(Results(store))}
     assert {path.stem for path in store.figures.iterdir()} == set(result)
     assert {f"safe_{name}" for name in CURVES} <= set(result)

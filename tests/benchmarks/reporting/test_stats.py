@@ -97,8 +97,7 @@ def test_a_moving_average_of_averages_holds_enough_observations(
     values: list[float], window: int, seed: int, most: int
 ) -> None:
     counts = np.random.default_rng(seed).integers(1, most + 1, len(values))
-    ours = stats.moving_average(values, window, counts)
-    for i, smooth in enumerate(ours):
+    for i, smooth in enumerate(stats.moving_average(values, window, counts)):
         start = i
         while counts[start : i + 1].sum() < window and start > 0:
             start -= 1

@@ -94,8 +94,7 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
         "Metric", "RRT-Connect, paper", "Ours", "Vanilla DQN, paper", "Ours", "Rainbow DQN, paper",
         "Ours",
     ]  # fmt: skip
-    acting = "As trained: Vanilla DQN; Rainbow DQN."
-    assert acting in performance.notes
+    assert "As trained: Vanilla DQN; Rainbow DQN." in performance.notes
     assert any("precision 18" in note for note in performance.notes)
     # under the same masks, acting alike
     assert controls.header[1:] == [
@@ -216,8 +215,7 @@ def test_tables_are_written_in_three_forms_that_agree_and_repeat(tmp_path: Path)
     assert r"\toprule" in text
     assert r"\usepackage{booktabs}" in text
     assert r"85.0 $\pm$ 7.1" in text
-    rows = list(csv.DictReader(io.StringIO((store.tables / "ablation.csv").read_text("utf-8"))))
-    full = rows[0]
+    full = next(csv.DictReader(io.StringIO((store.tables / "ablation.csv").read_text("utf-8"))))
     assert float(full["Greedily (%) | mean"]) == pytest.approx(85.0)
     assert float(full["Greedily (%) | std"]) == pytest.approx(7.071068)
     assert full["Greedily (%) | n"] == "2"
@@ -235,10 +233,8 @@ def test_a_preset_of_ones_own_has_the_tables_that_it_fills(tmp_path: Path) -> No
             place = (cell.ablation, cell.geometry)
             return (cell.method, cell.track) in there and place == ("full", "optimized")
 
-        made = fabricated_store.make_store(tmp_path, [0], "cut", keep)
-        made.folder.rename(tmp_path / learner)
-        store = Store.open(tmp_path, learner)
-        built = tables_of(store)
+        fabricated_store.make_store(tmp_path, [0], "cut", keep).folder.rename(tmp_path / learner)
+        built = tables_of(Store.open(tmp_path, learner))
         assert built["performance"].title == "Performance, safe"
         assert built.keys() & {"ablation", "geometry", "design", "uncertain"} == set()
         ranked = [row[1] for row in built["leaderboard"].texts()]
@@ -293,8 +289,7 @@ def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
 
 def test_episodes_that_began_elsewhere_are_no_pairs(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0])
-    run = store.run("lookahead-optimized-safe-s0")
-    path = run.path / "episodes.csv"
+    path = store.run("lookahead-optimized-safe-s0").path / "episodes.csv"
     path.write_text(path.read_text("utf-8").replace("start3", "start33", 1), encoding="utf-8")
     with pytest.raises(BenchmarkError, match="episode 3 of seed 0 began"):
         build_tables(Results(store))
@@ -311,11 +306,10 @@ def test_outside_means_that_no_rounding_reconciles(low: float, width: float, pap
     text = f"{paper:.1f}"
     value = Value(low, low=low, high=low + width)
     candidates = [float(text) + 0.05 * k / 50 for k in range(-50, 51)]
-    inside = any(low - 1e-9 <= x <= low + width + 1e-9 for x in candidates)
     if Number(value, paper=text).flagged:
         assert not any(low + 1e-6 < x < low + width - 1e-6 for x in candidates)
     elif width > 0.01:
-        assert inside
+        assert any(low - 1e-9 <= x <= low + width + 1e-9 for x in candidates)
     assert not Number(Value(paper + 100.0), paper=text).flagged  # no interval, no verdict
 
 
@@ -371,19 +365,17 @@ MACHINE = {"sim_to_real": {"base_position_error": 0.003}}
 def test_a_level_has_the_rows_that_were_played_at_it(
     columns: list[str], track: dict[str, Any], level: Level, episodes: list[int]
 ) -> None:
-    rows = ROWS[["episode", *columns]]
-    result = Result({"track": track}, RunFolder(Path("nowhere")), rows)
+    result = Result({"track": track}, RunFolder(Path("nowhere")), ROWS[["episode", *columns]])
     assert result.test(level)["episode"].tolist() == episodes
 
 
 def test_rows_of_older_runs_under_other_masks_are_left_out(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path)
     (tmp_path / "config.yaml").write_text("cell: {seed: 4}\ntrack: {}\n", encoding="utf-8")
     (tmp_path / "meta.json").write_text('{"schema": 1}', encoding="utf-8")
     every: Any = {"reset_seed": 1, "start": "s", "success": 1}  # columns of any run
     rows = ROWS.assign(masks=["own", np.nan, "paper", "own"], **every)
     rows.to_csv(tmp_path / "episodes.csv", index=False)
-    result = Result.read(folder)
+    result = Result.read(RunFolder(tmp_path))
     assert result.seed == 4
     assert result.episodes["episode"].tolist() == [0, 1, 3]
 

@@ -166,8 +166,7 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
     assert not (folder / "designs.csv").exists()
     assert main(words) == 0
     result = SearchResult(folder)
-    rows = RunFolder(folder).rows("designs")
-    assert len(rows) == 2 * 4 + 4
+    assert len(RunFolder(folder).rows("designs")) == 2 * 4 + 4
     assert {*few} <= choose(result).keys()
     assert result.policies.group("rainbow", "central", "heights-area").n == 2
 

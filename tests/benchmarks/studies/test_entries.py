@@ -95,8 +95,7 @@ def test_a_model_joins_the_board(name: str, train: Train, tmp_path: Path, done: 
     # the protocol: test seeds, all levels of noise, six holes to the end, the model's own actions
     assert rows["reset_seed"].unique().tolist() == episode_seeds(0, 2, "validate")
     assert rows["noise"].unique().tolist() == [0.0, 0.01]
-    model = CLASSES[name].load(path, device="cpu")
-    player = by_policy(model_policy(model), 0)
+    player = by_policy(model_policy(CLASSES[name].load(path, device="cpu")), 0)
     expected = play(player, load_preset("smoke"), 0, [Condition({"reward": "progress"}, 0.01)])
     noisy = rows[rows["noise"] == 0.01]
     assert noisy["moves"].tolist() == [row["moves"] for row in expected]
@@ -136,16 +135,14 @@ def test_the_algorithm_is_read_from_the_file(name: str, train: Train) -> None:
 def test_one_model_per_seed_and_a_second_call_scores_nothing(
     train: Train, tmp_path: Path, done: Command, refused: Command
 ) -> None:
-    tests = {"episodes": 1, "noise": [0.0]}
-    preset = smoke_file(tmp_path, "two", seeds=[3, 4], evaluation=tests)
+    preset = smoke_file(tmp_path, "two", seeds=[3, 4], evaluation={"episodes": 1, "noise": [0.0]})
     files = [str(train("ppo", 0)), str(train("ppo", 1))]
     words = ["evaluate", "--preset", str(preset), "--results", str(tmp_path), "--name", "two"]
     words.append("--trust")
     done(*words, "--model", *files)
     store = Store.open(tmp_path, "two")
     assert [entry.id for entry in store.entered()] == ["two-optimized-s3", "two-optimized-s4"]
-    digests = {entry.config()["entry"]["sha256"] for entry in store.entered()}
-    assert len(digests) == 2
+    assert len({entry.config()["entry"]["sha256"] for entry in store.entered()}) == 2
     before = [(entry.path / "meta.json").read_bytes() for entry in store.entered()]
     assert "2 of 2 seeds were scored already" in done(*words, "--model", *files)
     assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
@@ -228,8 +225,7 @@ def test_a_planner_joins_too_and_equals_the_harness_s_own(planners: Path, done: 
     assert len(rows) == 3
     for other in rows[1:]:
         pd.testing.assert_frame_equal(other, rows[0])
-    table = board(planners)
-    assert table.loc["mine", "Success (%)"] == "100.0"
+    assert board(planners).loc["mine", "Success (%)"] == "100.0"
     assert check_runs(store) == []
 
 
@@ -335,8 +331,7 @@ def test_wrong_files_are_one_error(train: Train, tmp_path: Path, refused: Comman
     assert "either --model or --planner" in error_of(good, "--planner", "optimum")
     two = smoke_file(tmp_path, "two", seeds=[0, 1])
     assert "models are of dqn, ppo" in error_of(good, train("dqn"), "--preset", two)
-    other = error_of(good, "--preset", "difficulty")
-    assert "preset 'difficulty' has no leaderboard" in other
+    assert "preset 'difficulty' has no leaderboard" in error_of(good, "--preset", "difficulty")
 
 
 def test_an_entry_leaves_other_tables_alone(train: Train, tmp_path: Path, done: Command) -> None:

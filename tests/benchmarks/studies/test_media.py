@@ -43,9 +43,7 @@ def test_two_files_of_one_solved_episode_are_the_same_for_the_same_seed(
         assert (out / name).read_bytes() == (again / name).read_bytes()
 
 
-def test_a_policy_is_shown_on_its_own_robot_by_default(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_policy_is_shown_on_its_own_robot_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     make: Any = SimpleNamespace
     stored = ({"geometry": "initial"}, lambda observation, masks: 0)
     monkeypatch.setattr(media, "stored_player", lambda model, trust: stored)
@@ -94,8 +92,7 @@ def test_the_twin_is_shown_where_it_really_is(monkeypatch: pytest.MonkeyPatch) -
         assert viewer.place(3, 5.0)
         assert viewer.move(0) or viewer.move(1)
         assert env.configuration[3] == pytest.approx(np.radians(5.0))
-        base = env.scene().rrs_base_joints
-        assert np.ptp(base[:, 2]) > 1e-5  # it stands askew
+        assert np.ptp(env.scene().rrs_base_joints[:, 2]) > 1e-5  # it stands askew
         np.testing.assert_allclose(env.scene().tip, env.physics.scene(0, []).tip)
     finally:
         viewer.close()

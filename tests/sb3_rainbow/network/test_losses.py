@@ -90,8 +90,7 @@ def test_clipped_share_is_the_mass_outside() -> None:
     p = th.tensor([[0.1, 0.2, 0.3, 0.4], [0.25, 0.25, 0.25, 0.25]])
     rewards, discounts = th.tensor([[1.5], [0.0]]), th.tensor([[1.0], [1.0]])
     # First row: atoms 0.5, 1.5, 2.5, 3.5; second row: unchanged, nothing outside.
-    share = clipped_share(p, rewards, discounts, -1.0, 2.0)
-    assert share.item() == pytest.approx((0.7 + 0.0) / 2)
+    assert clipped_share(p, rewards, discounts, -1.0, 2.0).item() == pytest.approx((0.7 + 0.0) / 2)
 
 
 def test_a_narrow_support_far_from_zero_loses_no_digits() -> None:

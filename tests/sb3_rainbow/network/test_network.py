@@ -161,8 +161,7 @@ def test_q_values_are_expectations_under_the_distribution() -> None:
     probabilities = net.distribution(obs)
     assert probabilities.shape == (7, 3, 51)
     th.testing.assert_close(probabilities.sum(-1), th.ones(7, 3))
-    support = th.linspace(-5, 5, 51)
-    th.testing.assert_close(net(obs), (probabilities * support).sum(-1))
+    th.testing.assert_close(net(obs), (probabilities * th.linspace(-5, 5, 51)).sum(-1))
 
 
 STREAMS = {"shared": [20], "streams": [12, 8]}
@@ -284,8 +283,7 @@ def test_a_size_of_features_asks_for_dqns_extractor() -> None:
 
 def test_images_have_the_published_network_by_default() -> None:
     """Hessel et al. 2018: after the convolutions, two streams of 512 noisy units, and no more."""
-    space = spaces.Box(0, 255, (4, 84, 84), np.uint8)
-    net = small.make_policy(space, 3, CnnPolicy).q_net
+    net = small.make_policy(spaces.Box(0, 255, (4, 84, 84), np.uint8), 3, CnnPolicy).q_net
     linear = [m for m in net.modules() if isinstance(m, nn.Linear | NoisyLinear)]
     assert [(m.in_features, m.out_features) for m in linear] == [
         (3136, 512), (512, 51), (3136, 512), (512, 153),

@@ -165,8 +165,7 @@ def test_files_that_are_no_checkpoint(tmp_path: Any) -> None:
     make(env).save(tmp_path / "model.zip")
     with pytest.raises(ValueError, match=r"written by save\(\)\? Then use load\(\)"):
         Rainbow.load_checkpoint(tmp_path / "model.zip", env)
-    model = make(make_stateful(1))
-    model.save_checkpoint(tmp_path / "c")
+    make(make_stateful(1)).save_checkpoint(tmp_path / "c")
     with pytest.raises(ValueError, match="no set_state"):
         Rainbow.load_checkpoint(tmp_path / "c", make_vec_env("CartPole-v1"))
 

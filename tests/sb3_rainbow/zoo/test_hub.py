@@ -93,8 +93,7 @@ def test_a_package_holds_model_card_and_results() -> None:
     assert card.data.model_name == "Rainbow"
     for part in ("python -m train --me", f"| {results['mean_reward']:.2f} |", "| PyTorch | 2."):
         assert part in card.text
-    loaded = hub.load(path, buffer_size=1)
-    assert same_actions(model, loaded)
+    assert same_actions(model, hub.load(path, buffer_size=1))
     goes_on: Any = hub.load(path, env=env)
     assert goes_on.replay_buffer.buffer_size == 1000  # of 2 envs each
     assert zipfile.ZipFile(path).namelist() == ["settings.json", "arrays.safetensors"]
@@ -117,8 +116,7 @@ def test_a_package_holds_model_card_and_results() -> None:
 def test_a_packaged_model_is_the_model(env: Any, settings: dict[str, Any]) -> None:
     vec_env = make_vec_env(env, seed=0)
     model = model_of(vec_env, 60, **settings)
-    path = package(model)
-    loaded = hub.load(path, env=vec_env, seed=1)
+    loaded = hub.load(package(model), env=vec_env, seed=1)
     assert same_actions(model, loaded)
     for name in ("observation_space", "action_space"):
         own, read = getattr(model, name), getattr(loaded, name)
@@ -259,8 +257,7 @@ def test_settings_are_held_against_their_types_and_arrays_against_the_network(
 
 def test_statistics_travel_along() -> None:
     env = VecNormalize(make_vec_env("CartPole-v1"), clip_obs=np.inf, clip_reward=np.float32(9.0))  # type: ignore[arg-type]
-    model = model_of(env)
-    package(model)
+    package(model_of(env))
     assert env.training
     assert env.norm_reward
     loaded = hub.load_vec_normalize("out/vec_normalize.zip", make_vec_env("CartPole-v1"))

@@ -173,9 +173,7 @@ def test_atari_is_scored_as_played_and_learned_in_by_signs_and_lives() -> None:
     assert np.mean(results[True][1]) < np.mean(results[False][1])  # a life, not all five
 
 
-def test_in_atari_an_action_in_a_thousand_is_random(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_in_atari_an_action_in_a_thousand_is_random(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dopamine's; without it a greedy policy has at most thirty episodes."""
     game: Any = IdentityEnv(size=6)
     taken = []

@@ -83,8 +83,7 @@ def test_the_command_writes_what_it_prints(site: Any, monkeypatch: pytest.Monkey
     two = {name: contact.VARIANTS[name] for name in ("contact 10 ms", "contact 20 ms")}
     monkeypatch.setattr(contact, "VARIANTS", two)
     here = site("contact")
-    words = ["--results", str(here.results), "--episodes", "2"]
-    assert Contact.main(words) == 0
+    assert Contact.main(["--results", str(here.results), "--episodes", "2"]) == 0
     assert (here.results / "contact" / "insertion.gif").stat().st_size > 0
     here.check(Contact, "compliant")
     parts = here.parts(Contact)

@@ -48,9 +48,8 @@ def test_a_run_without_its_policy_is_run_again_once_it_is_deleted(tmp_path: Path
     run = tmp_path / "classic/contact_errors/runs/standard-sac-s0"
     run.mkdir(parents=True)
     (run / "meta.json").write_text("{}")
-    name = "SAC, trained on machines that err"
     with pytest.raises(BenchmarkError, match=f"is missing: delete {run} and run python"):
-        inserter(tmp_path, name, 0)
+        inserter(tmp_path, "SAC, trained on machines that err", 0)
     given = Transfer.parser().parse_args(["--results", str(tmp_path)])
     given.command = ""
     (tmp_path / "classic/contact").mkdir()
