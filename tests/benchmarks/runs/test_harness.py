@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,15 +21,16 @@ from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
-from benchmarks.runs.backends import Backend, Job
+from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.harness import Harness, Outcome, bar, check_disk
-from benchmarks.runs.store import RunFolder, Store, digest
+from benchmarks.runs.store import RunFolder, Store, digest, write_text
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.conftest import Command
-from tests.benchmarks.runs.warm import Forked, wait_for
+from tests.benchmarks.runs.warm import PATIENCE, Forked, wait_for
 from tests.benchmarks.smoke import smoke_file, smoke_preset
+from tests.process import ROOT
 
 
 @pytest.fixture
@@ -104,11 +106,14 @@ def test_a_run_of_other_settings_than_another_seeds_is_refused_before_the_start(
     one = Insertion(long_run[1])
     run = one.open_store(tmp_path / "results", create=True).run("dqn-optimized-safe-s9")
     settings = one.settings(one.cells[0])
-    run.begin({**settings, "track": {**settings["track"], "timesteps": 480}})
+    other = {**settings, "track": {**settings["track"], "timesteps": 480}}
+    run.begin(other)
     run.write_meta({"training": {}})
     told = "s0 differ in more than their seed (track.timesteps: 480 -> 10000000)"
     assert told in refused("run", *long_run)
     assert told in refused("train", *long_run, "--cell", "dqn-optimized-safe-s0")
+    RunFolder(run.path.with_name("dqn-optimized-safe-s0")).begin(other)
+    assert "s0 holds a run with other settings" in refused("run", *long_run)
 
 
 @pytest.mark.usefixtures("forked")
@@ -158,9 +163,11 @@ class FakeJob(Job):
             return self.code
         share, note = next(self.script)
         self.waits = note == "waits"
+        if note == "ended":
+            signal.raise_signal(signal.SIGTERM)
         if share < 0.0:
-            self.folder.log.parent.mkdir(parents=True, exist_ok=True)
-            self.folder.log.write_text("first line\nthe reason\n", encoding="utf-8")
+            if note != "no log":
+                write_text(self.folder.log, "first line\n" + 7 * "more\n" + "the reason\n")
             self.code = int(share)
         elif share == 1.0:
             self.folder.write_meta({"training": {"set_aside": ["broken-step-7"]}})
@@ -174,6 +181,13 @@ class FakeJob(Job):
     def place(self) -> str | None:
         return None if self.waits else "far"
 
+    def stop(self) -> None:
+        self.folder.write_progress(0.5, "asked")
+
+    def wait(self, seconds: float) -> None:
+        assert 0.0 < seconds <= GRACE_SECONDS
+        self.folder.write_progress(0.5, f"{self.folder.progress()[1]} and waited for")
+
 
 Scripts = dict[str, list[tuple[float, str]]]  # of each run: how far it is and a note, poll by poll
 
@@ -185,10 +199,15 @@ class FakeBackend(Backend):
         self.most = 0
 
     def start(self, words: Sequence[str], folder: RunFolder) -> FakeJob:
-        assert words[words.index("--cell") + 1] == folder.id
+        given = dict(zip(words[4::2], words[5::2], strict=True))
+        assert (given["--cell"], given["--device"]) == (folder.id, "cuda")
+        assert float(given["--wait"]) == GRACE_SECONDS  # what a killed harness left may be saving
         job = self.jobs[folder.id] = FakeJob(folder, iter(self.scripts[folder.id]))
         self.most = max(self.most, sum(job.code is None for job in self.jobs.values()))
         return job
+
+
+RUNS = [{"methods": ["rrt_connect", "optimum"], "geometries": ["optimized", "initial"]}]
 
 
 def fake_run(tmp_path: Path, slots: int, scripts: Scripts) -> tuple[Outcome, FakeBackend, str]:
@@ -196,8 +215,7 @@ def fake_run(tmp_path: Path, slots: int, scripts: Scripts) -> tuple[Outcome, Fak
 
     Between two looks at the runs no time passes, and each is drawn.
     """
-    runs = [{"methods": ["rrt_connect", "optimum"], "geometries": ["optimized", "initial"]}]
-    preset = smoke_preset("fake", runs=runs)
+    preset = smoke_preset("fake", runs=RUNS)
     store = Store.open(tmp_path, "fake", create=True)
     terminal = Console(file=io.StringIO(), force_terminal=True, width=400, color_system=None)
     backend = FakeBackend(slots, scripts)
@@ -209,7 +227,7 @@ def fake_run(tmp_path: Path, slots: int, scripts: Scripts) -> tuple[Outcome, Fak
 
     clock = SimpleNamespace(sleep=lambda _: bars[0].refresh(), perf_counter=time.perf_counter)
     with mock.patch.multiple("benchmarks.runs.harness", bar=noted, time=clock):
-        outcome = Harness(Insertion(preset), store, backend, terminal).run()
+        outcome = Harness(Insertion(preset), store, backend, terminal, "cuda").run()
     assert isinstance(terminal.file, io.StringIO)
     return outcome, backend, terminal.file.getvalue()
 
@@ -235,16 +253,61 @@ def test_each_run_has_a_line_and_all_have_one_together(tmp_path: Path) -> None:
     assert re.search(r"all 4 runs .* 19 % .*2 wait", text)  # a quarter and a half of four
     assert re.search(rf"{CELLS[2]}: was killed by signal 1, .*, see .*log.txt", text)
     assert "the reason" in text
+    assert "first line" not in text
     assert f"{CELLS[0]}: done in" in text
     assert re.search(rf"{CELLS[3]}: a checkpoint could not be read and is kept as .*broken-", text)
 
 
 def test_a_run_that_was_damaged_ends_no_other(tmp_path: Path) -> None:
     scripts = {cell: [(0.5, ""), (1.0, "deleted" if cell == CELLS[0] else "")] for cell in CELLS}
+    scripts[CELLS[1]] = [(-9.0, "no log")]
     outcome, _, text = fake_run(tmp_path, 1, scripts)
-    assert list(outcome.failed) == [CELLS[0]]
-    assert sorted(outcome.trained) == sorted(CELLS[1:])
+    assert sorted(outcome.failed) == sorted(CELLS[:2])
+    assert sorted(outcome.trained) == sorted(CELLS[2:])
     assert "meta.json" in text
+
+
+def test_a_harness_that_is_terminated_has_its_runs_save(tmp_path: Path) -> None:
+    scripts, missed = (
+        {CELLS[0]: [(0.5, "")] * 9, CELLS[1]: [(0.5, ""), (0.5, "ended")]},
+        list[int](),
+    )
+    before = signal.signal(signal.SIGTERM, lambda number, _: missed.append(number))
+    try:
+        outcome, _, text = fake_run(tmp_path, 2, scripts)
+        signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert missed == [signal.SIGTERM]  # the second, when the harness was done
+    assert outcome.interrupted
+    assert "Stopping: the runs save their checkpoints" in text
+    store = Store.open(tmp_path, "fake")
+    for cell in CELLS[:2]:
+        assert store.run(cell).progress() == (0.5, "asked and waited for")
+    assert not store.run(CELLS[2]).path.exists()
+
+
+def test_a_harness_that_was_interrupted_writes_no_tables(tmp_path: Path) -> None:
+    store, written = Store(tmp_path, "fake"), list[int]()
+    for code, outcome in (
+        (0, Outcome(trained=["a"], skipped=["b"])),
+        (1, Outcome(trained=["a"], failed={"b": tmp_path})),
+        (130, Outcome(trained=["a"], failed={"b": tmp_path}, interrupted=True)),
+    ):
+        console = Console(file=io.StringIO())
+        assert outcome.close(store, console, lambda code=code: written.append(code)) == code  # type: ignore[misc]
+    assert written == [0, 1]
+
+
+def test_a_complete_run_is_left_alone_but_for_its_working_files(tmp_path: Path) -> None:
+    one, store = Insertion(smoke_preset("fake", runs=RUNS)), Store.open(tmp_path, "fake", True)
+    run = store.run(CELLS[3])  # of a process that was killed at its very end
+    run.begin(one.settings(one.find(run.id)))
+    run.write_meta({"training": {}})
+    (run.checkpoint / "step-7").mkdir(parents=True)
+    outcome, _, _ = fake_run(tmp_path, 4, {cell: [(1.0, "")] for cell in CELLS[:3]})
+    assert (outcome.skipped, sorted(outcome.trained)) == ([CELLS[3]], sorted(CELLS[:3]))
+    assert not run.checkpoint.exists()
 
 
 def test_what_earlier_calls_have_done_counts_as_done(tmp_path: Path) -> None:
@@ -260,12 +323,35 @@ def test_a_process_per_core_of_one_thread(tmp_path: Path, monkeypatch: pytest.Mo
     assert Backend().slots == len(os.sched_getaffinity(0))
     assert Backend(3).slots == 3
     asked: dict[str, Any] = {}
+    monkeypatch.setenv("OMP_NUM_THREADS", "8")
+    monkeypatch.setenv("PYTHONPATH", "mine")
     monkeypatch.setattr(subprocess, "Popen", lambda words, **rest: asked.update(rest, words=words))
     Backend(1).start(["train", "--cell", "x"], RunFolder(tmp_path))
     for name in ("OMP", "MKL", "OPENBLAS", "NUMBA"):
         assert asked["env"][f"{name}_NUM_THREADS"] == "1"
+    assert asked["env"]["PYTHONPATH"] == f"{ROOT}{os.pathsep}mine"
     words = f"-m benchmarks train --cell x --parent {os.getpid()}"
     assert asked["words"][1:] == words.split()
+
+
+@pytest.mark.parametrize(("trap", "code"), [("exit 7", 7), ("", -signal.SIGKILL)])
+def test_a_process_is_asked_to_end_and_killed_when_its_time_is_over(
+    trap: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, run = tmp_path / "python", RunFolder(tmp_path)
+    waits = "for i in $(seq 900); do sleep 0.1; done"
+    lines = "#!/bin/sh", f"trap '{trap}' TERM", "echo odd >&2", "echo begun", waits
+    program.write_text("\n".join(lines), encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    write_text(run.log, "before\n")
+    job = Backend(1).start(["train"], run)
+    wait_for(lambda: "begun\n" in run.log.read_text("utf-8"), run.log)
+    assert run.log.read_text("utf-8") == "before\nodd\nbegun\n"
+    assert os.getsid(job.process.pid) == job.process.pid  # the terminal's Ctrl-C is not for it
+    job.stop()
+    job.wait(PATIENCE if code > 0 else 0.5)
+    assert job.poll() == code
 
 
 def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:

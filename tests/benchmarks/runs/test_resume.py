@@ -3,7 +3,9 @@
 What ends with a signal instead, for each learner: test_kill.
 """
 
+import dataclasses
 import errno
+import math
 import os
 import shutil
 from pathlib import Path
@@ -75,6 +77,50 @@ def test_stopping_twice_changes_nothing(cell: Cell, whole: Whole, folder: RunFol
     assert summary["timesteps"] == 400
 
 
+def test_checkpoints_are_as_far_apart_as_the_preset_says_and_time_is_that_of_all_processes(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    preset = dataclasses.replace(PRESET, checkpoint_seconds=10.0)
+    seconds, told, seen = 0.0, list[float](), list[str]()
+    monkeypatch.setattr(RunFolder, "report", lambda self, share, note: told.append(share))
+    clock = SimpleNamespace(perf_counter=lambda: seconds, process_time=lambda: seconds / 2.0)
+    monkeypatch.setattr("benchmarks.runs.checkpoint.time", clock)
+
+    def stop(at: float) -> bool:
+        """Asked once a round of four steps, which takes a second."""
+        nonlocal seconds
+        seconds += 1.0
+        kept = [path.name for path in checkpoints(folder.checkpoint)]
+        assert len(kept) <= 1
+        seen.extend(name for name in kept if name not in seen)
+        return seconds == at
+
+    assert train(preset, CELLS[0], folder, lambda: stop(25.0)) is None
+    (folder.checkpoint / "saving" / "half").mkdir(parents=True)  # of a process that was killed
+    result = train(preset, CELLS[0], folder, lambda: stop(math.inf))
+    assert result is not None
+    steps = [36, 76, 96, *range(132, 400, 40)]
+    assert seen == [f"step-{step:010d}" for step in steps]
+    assert told == [step / 400 for step in (*range(0, 100, 4), *range(96, 400, 4))]
+    assert (result[1]["wall_seconds"], result[1]["cpu_seconds"]) == (101.0, 50.5)
+
+
+def test_a_checkpoint_is_on_the_disk_before_the_last_one_goes(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (old,) = cut_off(folder, 10)
+    synced: list[tuple[str, list[Path]]] = []
+
+    def sync(path: Path) -> None:
+        synced.append((path.name, checkpoints(folder.checkpoint)))
+
+    monkeypatch.setattr("benchmarks.runs.checkpoint.sync", sync)
+    (new,) = cut_off(folder, 10)
+    files = ("buffer.pkl", "model.zip", "state.pkl")
+    assert sorted(synced[:-1]) == [(name, [old]) for name in files]
+    assert synced[-1] == ("checkpoint", [old, new])
+
+
 def test_a_run_says_which_commits_it_was_made_with(
     folder: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,6 +170,7 @@ def test_a_damaged_checkpoint_is_kept_aside(name: str, whole: Whole, folder: Run
     (kept,) = cut_off(folder, 40)
     damaged = kept / name
     damaged.write_bytes(damaged.read_bytes()[: damaged.stat().st_size // 2])
+    (kept.with_name(f"broken-{kept.name}") / "earlier").mkdir(parents=True)  # a second time
     with pytest.warns(UserWarning, match=f"{kept.name} cannot be read"):
         weights, summary = trained(folder)
     assert summary["set_aside"] == [f"broken-{kept.name}"]
@@ -132,6 +179,20 @@ def test_a_damaged_checkpoint_is_kept_aside(name: str, whole: Whole, folder: Run
     folder.drop_checkpoint()
     (aside,) = folder.checkpoint.iterdir()
     assert (aside / name).is_file()
+
+
+def test_of_two_checkpoints_the_older_serves_where_the_newer_is_damaged(
+    whole: Whole, folder: RunFolder, tmp_path: Path
+) -> None:
+    (old,) = cut_off(folder, 10)  # kept beside the next by a kill
+    shutil.copytree(old, tmp_path / "copy")
+    (new,) = cut_off(folder, 30)
+    shutil.move(tmp_path / "copy", old)
+    (new / "state.pkl").write_bytes(b"")
+    with pytest.warns(UserWarning, match=f"{new.name} cannot be read"):
+        weights, summary = trained(folder)
+    assert (summary["set_aside"], summary["resumed_at"]) == ([f"broken-{new.name}"], [40])
+    assert weights == whole[CELLS[0].id][0]
 
 
 @pytest.mark.parametrize(
@@ -153,6 +214,10 @@ def test_a_disk_that_fills_up_keeps_the_last_checkpoint(
         patch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
         with pytest.raises(BenchmarkError, match=r"disk is full.*goes on from step-0000000040"):
             cut_off(folder, 5)
+        if isinstance(error, RuntimeError):  # the disk is not to blame for it where there is room
+            patch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=10**12))
+            with pytest.raises(RuntimeError, match="unexpected pos"):
+                cut_off(folder, 5)
     (kept,) = checkpoints(folder.checkpoint)
     assert kept.name == "step-0000000040"
     assert not (folder.checkpoint / "saving").exists()  # its room is free again
