@@ -353,6 +353,11 @@ def test_masks_are_the_wrappers_on_the_way() -> None:
         for env, action in zip(alone, actions, strict=True):
             assert not env.step(action)[-1]["shielded"]
     assert tightened > 0
+    single = ShieldedInsertionEnv(mask_visited=8)
+    single.reset(seed=3)
+    single.step(4)
+    forbidden = single.shield.allowed_moves(single.configuration) & ~single.action_masks()
+    assert np.flatnonzero(forbidden).tolist() == [5]  # back to where it came from
     other = ShieldedInsertionEnv({"sigma": 0.2}, **ARGUMENTS)
     with pytest.raises(StateError, match="other arguments"):
         other.set_state(ShieldedInsertionEnv(**ARGUMENTS).get_state())

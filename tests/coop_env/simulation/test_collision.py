@@ -1,5 +1,6 @@
 """The collision kernel against all pairs of bodies; an entry into a filled hole counts once."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,12 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv
-from coop_env.geometry import DELTA, DeltaGeometry
+from coop_env.geometry import DELTA, OPTIMIZED, DeltaGeometry
 from coop_env.kinematics import delta, rrs
-from coop_env.simulation.collision import collides, point_segment_distance, segment_distance
+from coop_env.simulation.collision import (
+    ceiling,
+    collides,
+    lowest,
+    point_segment_distance,
+    segment_distance,
+)
 from coop_env.simulation.state import Configuration, joint_angles
 from tests.coop_env.simulation.bodies import gap
 
@@ -94,6 +102,55 @@ def test_configurations_collide_when_their_bodies_do(
         hit = collides(c[0], c[1], c[2], theta, pose, q, env.params)
         assert hit != free
         counts[hit] += 1
+
+
+# elbows stand upright, above the platform
+TALL = {"proximal_length": 0.4, "distal_length": 0.25, "joint_min": -2.0, "joint_max": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("task", "arms", "limbs"),
+    [
+        *((THICK, {}, {}), (FLAT, {}, {}), ({"dome_radius": 0.03, "spoke_radius": 0.1}, {}, {})),
+        *(
+            ({"dome_radius": 0.2}, {}, {}),
+            ({}, {}, TALL),
+            ({"forearm_radius": 0.1}, {"peg_length": 0.03}, {}),
+        ),
+        *(({}, LONG, {}), ({"forearm_radius": 0.1}, LONG, {})),
+    ],
+)
+def test_nothing_of_a_robot_is_beyond_the_height_that_clears_the_other(
+    task: dict[str, Any], arms: dict[str, Any], limbs: dict[str, Any]
+) -> None:
+    robot, geometry = DeltaGeometry(**arms), replace(OPTIMIZED, **limbs)
+    env = CoopInsertionEnv(task=task, delta=arms, geometry=geometry)
+    rng, bodies, seen = np.random.default_rng(0), env.task, 0
+    while seen < 200:
+        c = (*rng.uniform(-0.16, 0.16, 2), rng.uniform(-0.65, -0.05), *rng.uniform(-0.6, 0.6, 2))
+        c = (*c, rng.uniform(geometry.heave_min, geometry.heave_max))
+        if not joint_angles(c, env.params)[0]:
+            continue
+        seen += 1
+        base = 0.05 * rng.choice([-1.0, 0.0, 1.0], 5)  # where the base really stands
+        turn = Rotation.from_euler("XY", base[3:])
+        cos, sin = np.cos(base[3:]), np.sin(base[3:])
+        real = env.params._replace(
+            task=env.params.task._replace(
+                base_x=base[0], base_y=base[1], base_z=base[2],
+                cos_roll=cos[0], sin_roll=sin[0], cos_pitch=cos[1], sin_pitch=sin[1],
+            )
+        )  # fmt: skip
+        height = (turn.apply(rrs.platform_pose(c[3:], geometry).position) + base[:3])[2]
+        _, elbows, joints = np.moveaxis(rrs.limb_points(c[3:], geometry), 1, 0)
+        elbow, joint = (turn.apply(points)[:, 2].max() + base[2] for points in (elbows, joints))
+        tops = height + bodies.dome_radius, joint + bodies.spoke_radius
+        assert max(*tops, max(elbow, joint) + bodies.limb_radius) <= ceiling(height, real)
+        tip = c[2] + robot.base_height - robot.peg_length
+        _, knees, ends = np.moveaxis(delta.limb_points(c[:3], robot), 1, 0)
+        arm = min(knees[:, 2].min(), ends[:, 2].min()) + robot.base_height - bodies.forearm_radius
+        effector = c[2] + robot.base_height - bodies.effector_radius
+        assert lowest(c[2], real) <= min(tip, arm, effector)
 
 
 def test_the_peg_may_touch_the_dome_only_inside_a_chamfer() -> None:

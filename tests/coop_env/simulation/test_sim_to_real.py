@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.spatial.transform import Rotation
 
 from benchmarks.methods.oracle import LatticeOracle
@@ -16,7 +17,7 @@ from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.physics.model import Machine
 from coop_env.physics.task import start_configurations
 from coop_env.simulation.collision import on_base
-from coop_env.simulation.machine import MACHINE, displaced, gaussian, uniform
+from coop_env.simulation.machine import MACHINE, displaced, gaussian, real_params, uniform
 from coop_env.simulation.sim_to_real import RANDOMIZED, draw_machine
 from coop_env.simulation.state import state_dtype
 from tests.coop_env.simulation.bodies import gap
@@ -253,6 +254,11 @@ def test_the_rows_generator_is_uniform_and_normal() -> None:
     assert normal.std() == pytest.approx(1.0, abs=0.03)
 
 
+@njit
+def real_task(machine: Any, params: Any) -> Any:
+    return real_params(machine, params).task
+
+
 def test_the_links_stand_on_the_displaced_base() -> None:
     knobs = SimToReal(base_position_error=0.002, base_tilt_error=np.radians(0.5))
     env = CoopInsertionEnv(sim_to_real=knobs)
@@ -262,13 +268,7 @@ def test_the_links_stand_on_the_displaced_base() -> None:
         options={"configuration": [-0.07349, 0.13168, -0.53174, 0.18639, 0.31019, 0.22992]},
     )
     base = env.state["machine"]["base"]
-    turned: dict[str, Any] = {
-        f"{f.__name__}_{axis}": float(f(angle))
-        for axis, angle in (("roll", base[3]), ("pitch", base[4]))
-        for f in (np.cos, np.sin)
-    }
-    x, y, z = base[:3].tolist()
-    params = env.params.task._replace(base_x=x, base_y=y, base_z=z, **turned)
+    params = real_task(env.state["machine"], env.params)
     home = (0.1, -0.2, 0.21)
     pose = rrs.platform_pose(home)
     _, elbows, balls = np.moveaxis(rrs.limb_points(home), 1, 0)
