@@ -14,7 +14,7 @@ import pytest
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import Cell
 from benchmarks.runs import machine
-from benchmarks.runs.cell import run_cell, run_here, run_once
+from benchmarks.runs.cell import Stopped, run_cell, run_here, run_once
 from benchmarks.runs.experiment import StopRequested
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
@@ -82,6 +82,19 @@ def test_a_run_says_the_time_of_all_its_processes_and_the_sources_that_it_began_
     meta = folder.meta()
     assert (meta["wall_seconds"], meta["cpu_seconds"]) == (520.0, 400.0)
     assert (meta["commit"], meta["cell"], meta["preset"]) == ("begun", "run", "mine")
+
+
+def test_a_stopped_run_begins_anew_and_a_complete_one_leaves_no_working_files(
+    folder: RunFolder,
+) -> None:
+    def work() -> None:
+        folder.write_progress(0.4, "on the way")
+        raise Stopped
+
+    assert not run_once(folder, CONFIG, "mine", work)
+    assert folder.progress() == (0.0, "stopped")
+    assert run_once(folder, CONFIG, "mine", lambda: DONE)
+    assert not folder.checkpoint.exists()
 
 
 @pytest.fixture
