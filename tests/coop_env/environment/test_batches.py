@@ -220,30 +220,25 @@ def test_attributes_and_calls_reach_each_environment() -> None:
         env.reset(seed=[1, 2, 3])
 
 
-def test_a_shallow_copy_of_a_batch_leaves_the_original_its_rows() -> None:
-    batch = CoopInsertionVectorEnv(2)
-    batch.reset(seed=0)
-    other = copy.copy(batch)
-    other.take(np.array([0, 0]))
-    other.move()
-    assert [env.configuration[0] for env in batch.envs] == [
-        row["configuration"][0] for row in batch.states
-    ]
-
-
-@pytest.mark.parametrize("form", [CoopInsertionEnv, partial(CoopInsertionVecEnv, 1), parallel_env])
-def test_a_shallow_copy_leaves_the_original_where_it_was(form: Any) -> None:
+@pytest.mark.parametrize(
+    ("form", "action"),
+    [
+        (CoopInsertionEnv, 4),
+        (partial(CoopInsertionVecEnv, 1), [4]),
+        (CoopInsertionVectorEnv, [4]),
+        (parallel_env, {"delta": 4, "rrs": 0}),
+    ],
+)
+def test_a_shallow_copy_leaves_the_original_where_it_was(form: Any, action: Any) -> None:
     def place(env: Any) -> Any:
-        if isinstance(env, CoopInsertionVecEnv):
-            return env.get_attr("configuration")[0]
-        return getattr(env, "team", env).configuration
+        single = env.envs[0] if hasattr(env, "envs") else getattr(env, "team", env)
+        return single.configuration
 
     env = form()
     env.seed(0) if isinstance(env, CoopInsertionVecEnv) else env.reset(seed=0)
     env.reset()
     other, before = copy.copy(env), place(env)
-    moved = {"delta": 4, "rrs": 0} if form is parallel_env else 4
-    other.step([4] if isinstance(env, CoopInsertionVecEnv) else moved)
+    other.step(action)
     np.testing.assert_array_equal(place(env), before)
     assert not np.array_equal(place(other), before)
 
