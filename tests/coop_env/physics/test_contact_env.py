@@ -142,12 +142,6 @@ def test_another_assembly_mode_is_seen_within_a_control_step(env: CoopInsertionC
         assert joints[3:] == pytest.approx(told[3:], abs=1e-3)  # it stays there, and no joint tells
 
 
-def test_a_soft_3rrs_pushed_hard_snaps() -> None:
-    """Soft servos near the parallel singularity lose their assembly mode; the episode says so."""
-    env = CoopInsertionContactEnv(servos=Servos(rrs_stiffness=2.0, delta_stiffness=400.0))
-    assert play(env, PUSH, **{**RIM, "hole": 0})["failure"] == "snap"
-
-
 @pytest.mark.parametrize("name", [IDS[0], IDS[2]])
 def test_a_simulation_that_diverges_ends_with_a_cause(name: str) -> None:
     env: Any = gym.make(name).unwrapped

@@ -206,9 +206,6 @@ def test_a_simulation_has_no_snapshots() -> None:
     for use in (env.get_state, lambda: env.set_state({})):
         with pytest.raises(StateError):
             use()
-    env.reset(seed=0)
-    with pytest.raises(ActionError):
-        env.step(12)
 
 
 def test_the_kinematic_criterion_fills_a_hole_and_each_episode_is_drawn_as_it_is() -> None:
