@@ -127,14 +127,10 @@ def test_a_batch_is_a_loop_and_the_kernel_to_the_bit() -> None:
     "theta", [[np.nan, 0.0, 0.0], [np.pi, np.pi, -np.pi / 2], [0.0, np.pi / 2, -np.pi / 2]]
 )
 def test_limbs_that_cannot_meet_say_so(theta: list[float]) -> None:
-    small = DeltaGeometry(
-        base_radius=0.3, effector_radius=0.04, proximal_length=0.26, distal_length=0.28
-    )
-    result = delta.forward(theta, small)
-    if result.reachable:  # then it must close
-        assert result.residual < 1e-12
-    else:
-        assert np.isnan([*result.position, result.residual]).all()
+    short = DeltaGeometry(0.3, 0.04, proximal_length=0.26, distal_length=0.28)
+    result = delta.forward(theta, short)
+    assert not result.reachable
+    assert np.isnan([*result.position, result.residual]).all()
 
 
 def test_bad_input() -> None:
