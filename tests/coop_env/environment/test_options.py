@@ -14,6 +14,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.simulation.observation import PAPER_FIELDS, markov_fields
+from tests.coop_env.moves import MOVES
 
 CHOICES: dict[str, tuple[Any, ...]] = {
     "geometry": ("initial", "optimized"),
@@ -97,9 +98,8 @@ def test_masks_equal_a_check_of_each_neighbour(geometry: str, safe: bool) -> Non
     env.reset(seed=0)
     hidden = 0
     for _ in range(1000):
-        c, steps = env.configuration, np.repeat(np.diag(env.task.steps), 2, axis=0)
-        steps[1::2] *= -1.0
-        status = np.array([env.configuration_status(c + step) for step in steps])
+        ways = env.configuration + MOVES * env.task.steps
+        status = np.array([env.configuration_status(way) for way in ways])
         expected = status == 0 if safe else status != 1
         masks = env.action_masks()
         assert masks.tolist() == (expected if expected.any() else ~expected).tolist()
@@ -135,12 +135,8 @@ def test_mask_visited_excludes_the_last_configurations(visited: int, safe: bool)
         past: list[tuple[int, ...]] = []
         for _ in range(200):
             allowed, masks = free.action_masks(), env.action_masks()
-            here = np.array(env.state["offset"])
-            back = np.zeros(12, bool)
-            for action in range(12):
-                there = here.copy()
-                there[action // 2] += 1 - 2 * (action % 2)
-                back[action] = tuple(there) in past[max(0, len(past) - visited) :]
+            here = env.state["offset"]
+            back = np.array([tuple(there) in past[-visited:] for there in here + MOVES])
             expected = allowed & ~back if (allowed & ~back).any() else allowed
             assert masks.tolist() == expected.tolist()
             hidden += int((allowed & back).sum())

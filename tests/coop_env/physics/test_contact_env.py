@@ -19,6 +19,7 @@ from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEn
 from coop_env.physics.model import Servos
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from coop_env.physics.twin import last
+from tests.coop_env.moves import MOVES
 from tests.coop_env.physics.episodes import ASIDE, PUSH, REST, RIM, above, play
 
 TASKS = ("Contact", "ContactDiscrete", "Physics", "PhysicsDiscrete")
@@ -191,11 +192,9 @@ def test_moves_are_increments(env: CoopInsertionContactEnv) -> None:
     discrete: Any = gym.make(IDS[1]).unwrapped
     discrete.reset(seed=2)
     env.reset(seed=2)
-    for action in range(12):
+    for action, moved in enumerate(MOVES):
         before = discrete.configuration
         observation = discrete.step(action)[0]
-        moved = np.zeros(6)
-        moved[action // 2] = 1.0 - 2.0 * (action % 2)
         expected = moved * env.task.increments
         assert discrete.configuration - before == pytest.approx(expected, abs=1e-15)
         assert observation.tobytes() == env.step(moved)[0].tobytes()

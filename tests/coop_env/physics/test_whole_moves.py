@@ -193,14 +193,6 @@ def test_the_next_target_is_the_nearest_hole_wherever_the_episode_began() -> Non
     assert body.target == int(np.argmin(away))
 
 
-def test_time_is_a_cause() -> None:
-    env = CoopInsertionPhysicsDiscreteEnv(max_moves=1)
-    env.reset(seed=0)
-    _, _, _, truncated, info = env.step(int(np.flatnonzero(env.action_masks())[0]))
-    assert truncated
-    assert info["failure"] == env.scene().status == "time"
-
-
 def test_a_simulation_has_no_snapshots() -> None:
     env = CoopInsertionPhysicsDiscreteEnv()
     for use in (env.get_state, lambda: env.set_state({})):

@@ -26,6 +26,7 @@ from coop_env.shield.certificate import certify_lattice
 from coop_env.simulation.collision import below_ceiling
 from coop_env.simulation.state import VALID
 from coop_env.simulation.task import axis_bounds
+from tests.coop_env.moves import MOVES
 
 COLLISION = 2
 
@@ -102,10 +103,8 @@ def test_where_one_robot_is_stopped_the_other_moves_on(shield: KinematicShield) 
 def test_moves_are_increments_that_need_no_change(
     env: CoopInsertionEnv, shield: KinematicShield, near: np.ndarray
 ) -> None:
-    steps = np.array(env.task.steps)
     for c in near[:60]:
-        moves = np.repeat(np.diag(steps), 2, axis=0) * np.tile([1.0, -1.0], 6)[:, None]
-        expected = [not shield.certify(c, move)[1] for move in moves]
+        expected = [not shield.certify(c, move)[1] for move in MOVES * env.task.steps]
         np.testing.assert_array_equal(shield.allowed_moves(c), expected)
 
 
@@ -147,8 +146,7 @@ def test_masks_are_those_of_the_environment_and_of_the_shield() -> None:
         wrapped.action_masks(), own & wrapped.shield.allowed_moves(wrapped._inner.configuration)
     )
     assert not wrapped.action_masks()[5]  # back to where it came from
-    moves = np.repeat(np.diag(wrapped.shield.steps), 2, axis=0) * np.tile([1.0, -1.0], 6)[:, None]
-    ways = wrapped._inner.configuration + moves
+    ways = wrapped._inner.configuration + MOVES * wrapped.shield.steps
     sigma = [rrs.signed_sigma_min(way[3:], OPTIMIZED) for way in ways]
     best = int(np.argmax(np.where(wrapped.action_masks(), sigma, -np.inf)))
     *_, info = wrapped.step(5)
@@ -300,8 +298,7 @@ def test_a_certificate_counts_what_a_walk_over_its_lattice_does(
     near = [below_ceiling((x, y, z - steps[2], 0.0, 0.0, most), grown) for x, y, z in delta]
     flat, over = np.array([[0.0, 0.0, origin[5]]]), delta[~np.array(near)]
     alone = [p for p in over if shield.is_certified([*p, *flat[0]])][:1]
-    counts = np.zeros(4, int)
-    moves = np.repeat(np.diag(steps), 2, axis=0) * np.tile([1.0, -1.0], 6)[:, None]
+    counts, moves = np.zeros(4, int), MOVES * steps
     for one, other in ((delta[near], tilts), (over, flat), (alone, tilts)):
         for c in (np.concatenate(pair) for pair in product(one, other)):
             if shield.is_certified(c):

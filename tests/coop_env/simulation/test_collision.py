@@ -155,20 +155,19 @@ def test_nothing_of_a_robot_is_beyond_the_height_that_clears_the_other(
 
 def test_the_peg_may_touch_the_dome_only_inside_a_chamfer() -> None:
     env = CoopInsertionEnv()
-    statuses = []
-    for nx, ny, nz in (*env.task.hole_normals, (0.0, 0.0, 1.0)):  # the top: a mouth, or bare
-        roll, pitch = float(np.arcsin(ny)), float(-np.arctan2(nx, nz))
-        _, _, pose, _ = joint_angles((0.0, 0.0, -0.3, roll, pitch, 0.22), env.params)
-        four_mm_deep = pose.z + 0.10 - 0.004 + 0.08 - 0.85
-        statuses.append(
-            env.configuration_status((pose.x, pose.y, four_mm_deep, roll, pitch, pose.z))
-        )
-    assert statuses == [0] * 6 + [2]
-    _, _, pose, _ = joint_angles((0.0, 0.0, -0.3, 0.0, -np.radians(10.0), 0.22), env.params)
+
+    def status(nx: float, ny: float, nz: float, beside: float = 0.0) -> int:
+        """With that normal upright, and the tip 4 mm below the top of the dome, or beside that."""
+        tilt = float(np.arcsin(ny)), float(-np.arctan2(nx, nz))
+        _, _, pose, _ = joint_angles((0.0, 0.0, -0.3, *tilt, 0.22), env.params)
+        z = pose.z + 0.10 - 0.004 + 0.08 - 0.85
+        return env.configuration_status((pose.x, pose.y + beside, z, *tilt, pose.z))
+
+    assert [status(*normal) for normal in env.task.hole_normals] == [0] * 6
+    assert status(0.0, 0.0, 1.0) == 2
     side = np.sqrt((env.task.chamfer + env.params.delta.peg_radius) ** 2 - 0.004**2)
-    for beside, status in ((side - 1e-6, 0), (side + 1e-6, 2)):
-        c = (pose.x, pose.y + beside, pose.z + 0.10 - 0.004 + 0.08 - 0.85, 0.0, -np.radians(10.0))
-        assert env.configuration_status((*c, pose.z)) == status
+    inner = np.sin(np.radians(10.0)), 0.0, np.cos(np.radians(10.0))
+    assert [status(*inner, beside) for beside in (side - 1e-6, side + 1e-6)] == [0, 2]
 
 
 # a forearm alone touches the dome; in the last a spoke, and the link that ends there

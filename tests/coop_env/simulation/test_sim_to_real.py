@@ -91,42 +91,31 @@ def test_latency_executes_the_previous_action() -> None:
     assert late.configuration[1] == start[1]
 
 
-def test_backlash_leaves_joints_behind_within_the_play() -> None:
-    """A joint stays where it is while that is within half the play of its command."""
-    play = 0.01
-    env = CoopInsertionEnv(sim_to_real=SimToReal(backlash=play))
-    ideal = CoopInsertionEnv()
+@pytest.mark.parametrize(("play", "count"), [(0.01, 0.0), (0.0, 0.005), (0.01, 0.005)])
+def test_a_joint_stays_where_it_is_within_half_the_play_of_the_nearest_count(
+    play: float, count: float
+) -> None:
+    env = CoopInsertionEnv(sim_to_real=SimToReal(backlash=play, joint_resolution=count))
+    ideal, rng = CoopInsertionEnv(), np.random.default_rng(0)
     env.reset(seed=0)
-    ideal.reset(options={"configuration": env.configuration, "target": 0})
-    rng = np.random.default_rng(0)
-    joints = np.concatenate([ideal.state["theta"], ideal.state["q"]])
-    assert env.state["machine"]["joints"] == pytest.approx(joints, abs=1e-12)
-    gaps, energy = [], 0.0
+    joints: np.ndarray | None = None
+    gaps: list[np.ndarray] = []
+    energy = 0.0
     for _ in range(100):
-        action = int(rng.choice(np.flatnonzero(env.action_masks())))
-        if env.step(action)[4]["violation"]:
-            break
         ideal.reset(options={"configuration": env.configuration, "target": 0})
         there, wanted = (np.concatenate([e.state["theta"], e.state["q"]]) for e in (env, ideal))
-        before, joints = joints, np.clip(joints, wanted - play / 2, wanted + play / 2)
-        energy += np.abs(joints - before).sum()
-        assert env.state["energy"] == pytest.approx(energy, abs=1e-9)
-        assert there == pytest.approx(joints, abs=1e-9)
-        gaps.append(there - wanted)
-    assert np.min(gaps) < -play / 3 < play / 3 < np.max(gaps)
-
-
-def test_quantized_joints_stand_on_the_nearest_counts() -> None:
-    env, ideal = CoopInsertionEnv(sim_to_real=SimToReal(joint_resolution=0.005)), CoopInsertionEnv()
-    env.reset(seed=1)
-    assert env.state["energy"] == 0.0
-    for _ in range(10):
-        env.step(int(np.flatnonzero(env.action_masks())[0]))
-        counts = np.concatenate([env.state["theta"], env.state["q"]]) / 0.005
-        np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
-        ideal.reset(options={"configuration": env.configuration, "target": 0})
-        wanted = np.concatenate([ideal.state["theta"], ideal.state["q"]]) / 0.005
-        np.testing.assert_array_less(np.abs(counts - wanted), 0.5 + 1e-9)
+        nearest = count * np.floor(wanted / count + 0.5) if count else wanted
+        before = wanted if joints is None else joints
+        joints = np.clip(before, nearest - play / 2, nearest + play / 2)
+        energy += np.abs(joints - before).sum() if gaps else 0.0  # the start costs none
+        assert there == pytest.approx(joints, abs=1e-12)
+        assert env.state["energy"] == pytest.approx(energy, abs=1e-12)
+        gaps.append(there - nearest)
+        if env.step(int(rng.choice(np.flatnonzero(env.action_masks()))))[4]["violation"]:
+            break
+    assert len(gaps) > 10
+    if play:
+        assert np.min(gaps) < -play / 3 < play / 3 < np.max(gaps)
 
 
 def test_every_episode_has_a_machine_of_its_own_which_its_seed_gives() -> None:

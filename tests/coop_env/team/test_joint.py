@@ -14,6 +14,7 @@ from coop_env.physics.task import start_configurations
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.state import COLLISION, INVALID, SINGULAR, VALID
 from coop_env.team.agents import Team
+from tests.coop_env.moves import MOVES
 
 HOLD = 6
 LOW = (0.0, 0.0, -0.41, 0.05, -0.05, 0.23)  # the tip is some centimetres above the dome
@@ -62,13 +63,10 @@ def test_with_the_other_on_hold_all_is_the_single_agents(arguments: dict[str, An
 
 def expected(env: CoopInsertionJointEnv, delta: int, rrs: int) -> tuple[np.ndarray, list[int]]:
     """Where a tick should lead and the status of each move, from ``configuration_status`` alone."""
-    start, offset = env.state["start"], env.state["offset"].copy()
+    start, offset = env.state["start"], env.state["offset"]
 
     def lattice_point(*moves: int) -> np.ndarray:
-        to = offset.copy()
-        for move in moves:
-            to[move // 2] += 1 - 2 * (move % 2)
-        return start + to * np.array(PAPER_TASK.steps)
+        return start + (offset + MOVES[list(moves)].sum(axis=0)) * PAPER_TASK.steps
 
     moves = {0: delta, 1: 6 + rrs} if rrs != HOLD else {0: delta}
     if delta == HOLD:
@@ -186,9 +184,7 @@ def test_without_sight_the_other_robot_makes_no_difference() -> None:
     for _ in walk(env, 300):
         masks, state = env.action_masks(), env.state
         for action in range(12):
-            to, axis = env.configuration, action // 2
-            offset = state["offset"][axis] + 1 - 2 * (action % 2)
-            to[axis] = state["start"][axis] + offset * PAPER_TASK.steps[axis]
+            to = state["start"] + (state["offset"] + MOVES[action]) * PAPER_TASK.steps
             if action < 6:
                 allowed = level.configuration_status(to) != INVALID
                 choices = (action, HOLD)
