@@ -129,6 +129,17 @@ def test_every_episode_has_a_machine_of_its_own_which_its_seed_gives() -> None:
     assert len({machine["lengths"].tobytes() for machine in machines}) == 20
 
 
+def test_a_machine_that_cannot_stand_at_the_start_is_drawn_anew() -> None:
+    """A forearm is by a link, which some displacements bring too near."""
+    env, nominal = CoopInsertionEnv(sim_to_real={"base_position_error": 0.01}), CoopInsertionEnv()
+    start = {"configuration": (-0.07349, 0.13168, -0.552, 0.18639, 0.31019, 0.22992)}
+    nominal.reset(options=start)
+    for seed in range(20):
+        env.reset(seed=seed, options=start)
+        shift = env.state["mouths"] - nominal.state["mouths"]
+        assert shift == pytest.approx(np.tile(env.state["machine"]["base"][:3], (6, 1)), abs=1e-9)
+
+
 def test_a_peg_goes_in_as_often_as_the_knob_says() -> None:
     env = CoopInsertionEnv(sim_to_real=SimToReal(insertion_probability=0.3))
     start = {"configuration": start_configurations(Machine(), 0.022)[4], "target": 4}
