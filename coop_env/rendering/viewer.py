@@ -31,10 +31,10 @@ class ViewerError(RuntimeError):
     """The view cannot be opened; the message names the mend."""
 
 
-def _open_server(host: str, port: int) -> viser.ViserServer:
-    """A server that listens on exactly this address."""
+def _check_address(host: str, port: int) -> None:
+    """ViewerError unless a server can listen there."""
     with imports("the browser view needs", "render", ViewerError):
-        import viser
+        import viser  # noqa: F401
     if not 1 <= port <= 65535:
         raise ViewerError(f"port {port}: must be 1 to 65535")
     with socket.socket() as probe:  # viser would quietly take another port
@@ -43,6 +43,11 @@ def _open_server(host: str, port: int) -> viser.ViserServer:
             probe.bind((host, port))
         except OSError as error:
             raise ViewerError(f"{host}:{port} cannot be used ({error}): try another port") from None
+
+
+def _open_server(host: str, port: int) -> viser.ViserServer:
+    import viser
+
     server: Any = viser.ViserServer(host, port, label="Cooperative insertion", verbose=False)
     # any client may ask viser for a public address, even a foreign page in the same browser
     server.request_share_url = lambda *_, **__: None
@@ -94,6 +99,7 @@ class Viewer:
     ) -> None:  # fmt: skip
         if getattr(env.action_space, "n", None) != N_ACTIONS:
             raise ViewerError(f"{type(env).__name__}: the view shows robots that move in turn")
+        _check_address(host, port)
         self.env = env
         env.reset()  # what compiles has compiled before anyone can look
         env.step(int(np.argmax(env.action_masks())))

@@ -150,6 +150,7 @@ def test_other_starts_are_their_own(copied: list[str], tmp_path: Path, done: Com
     assert not (seen[0] | seen[1]) & set(stored["start"].astype(str))
 
 
+@pytest.mark.usefixtures("warm")  # compiling kernels would report itself on stderr too
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -184,8 +184,10 @@ def test_robots_that_move_at_once_are_refused() -> None:
 def test_a_port_that_cannot_be_used_and_a_missing_viser_are_one_clear_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    env = CoopInsertionEnv()
     with pytest.raises(ViewerError, match="port 70000: must be 1 to 65535"):
-        Viewer(CoopInsertionEnv(), port=70000)
+        Viewer(env, port=70000)
+    assert not env.running  # told before anything is compiled
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
