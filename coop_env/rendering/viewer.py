@@ -46,6 +46,7 @@ def _check_address(host: str, port: int) -> None:
 
 
 def _open_server(host: str, port: int) -> viser.ViserServer:
+    """A server that listens on exactly this address."""
     import viser
 
     server: Any = viser.ViserServer(host, port, label="Cooperative insertion", verbose=False)
@@ -90,7 +91,7 @@ class Viewer:
         port: 1 to 65535, free.
 
     Raises:
-        ViewerError: viser is not installed, the port cannot be used, or both robots move at once.
+        ViewerError: viser is missing, the port cannot be used, or the moves are not the twelve.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class Viewer:
         port: int = 8080,
     ) -> None:  # fmt: skip
         if getattr(env.action_space, "n", None) != N_ACTIONS:
-            raise ViewerError(f"{type(env).__name__}: the view shows robots that move in turn")
+            raise ViewerError(f"{type(env).__name__}: the view plays the twelve moves, in turn")
         _check_address(host, port)
         self.env = env
         env.reset()  # what compiles has compiled before anyone can look

@@ -176,9 +176,14 @@ def test_play_survives_an_environment_that_breaks(monkeypatch: pytest.MonkeyPatc
         viewer.close()
 
 
-def test_robots_that_move_at_once_are_refused() -> None:
-    with pytest.raises(ViewerError, match="CoopInsertionJointEnv: the view"):
-        Viewer(CoopInsertionJointEnv(), port=_free_port())
+def test_robots_that_move_at_once_or_by_reals_are_refused() -> None:
+    pytest.importorskip("mujoco")
+    from coop_env.physics.env import CoopInsertionPhysicsEnv
+
+    for kind in (CoopInsertionJointEnv, CoopInsertionPhysicsEnv):
+        env: Any = kind()
+        with pytest.raises(ViewerError, match=f"{kind.__name__}: the view plays the twelve"):
+            Viewer(env, port=_free_port())
 
 
 def test_a_port_that_cannot_be_used_and_a_missing_viser_are_one_clear_error(
