@@ -89,7 +89,8 @@ def test_the_twin_is_shown_where_it_really_is(monkeypatch: pytest.MonkeyPatch) -
     viewer = opened[0]
     try:
         env: Any = viewer.env
-        assert viewer.place(3, 5.0)
+        env.reset(seed=0)  # from a rare start the robots collide at 5 degrees
+        assert viewer.place(3, 5.0), viewer.message.content
         assert viewer.move(0) or viewer.move(1)
         assert env.configuration[3] == pytest.approx(np.radians(5.0))
         assert np.ptp(env.scene().rrs_base_joints[:, 2]) > 1e-5  # it stands askew

@@ -153,7 +153,7 @@ def test_play_lets_the_callable_act_and_stops_on_its_error() -> None:
 
 def test_play_survives_an_environment_that_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
     env = CoopInsertionEnv()
-    env.reset()
+    env.reset(seed=0)
     scene = env.scene()
 
     def breaks(*_: Any) -> None:
