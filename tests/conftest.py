@@ -1,6 +1,10 @@
 """Settings of all tests."""
 
+from collections.abc import Iterator
+from itertools import count
+
 import pytest
+from gymnasium.utils import seeding
 from hypothesis import HealthCheck, settings
 
 # the same examples everywhere, however slow the machine: by default each has 200 ms
@@ -8,6 +12,17 @@ settings.register_profile(
     "steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("steady")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _draws_repeat() -> Iterator[None]:
+    """Environments and spaces that no test seeds draw in every run what they drew in the last."""
+    seeds, draw = count(1_000_003), seeding.np_random
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            seeding, "np_random", lambda seed=None: draw(next(seeds) if seed is None else seed)
+        )
+        yield
 
 
 # One worker compiles the kernels while the others do what needs none.

@@ -18,7 +18,7 @@ from benchmarks.protocol.plan import ABLATIONS, GEOMETRIES, METHODS, expand
 from benchmarks.reporting import blocks
 from benchmarks.runs.callbacks import ROWS
 from benchmarks.runs.ray_backend import RETRIES
-from benchmarks.runs.store import write_text
+from benchmarks.runs.store import RunFolder, write_text
 from benchmarks.studies import catalogue
 from coop_env import CoopInsertionEnv
 from tests.benchmarks.smoke import parsed
@@ -159,3 +159,21 @@ def test_a_block_without_its_data_stays() -> None:
 def test_every_committed_picture_is_shown() -> None:
     shown = set(re.findall(r"!\[\]\(\.\./(results/[^)]+)\)", GALLERY))
     assert {*tracked("results/*.png", "results/*.gif")} - shown == set()
+
+
+def test_a_block_says_of_which_runs_it_is(tmp_path: Path) -> None:
+    runs = [RunFolder(tmp_path / str(number)) for number in range(3)]
+    for number, run in enumerate(runs):
+        made_by = {"commit": f"{number}23456789abc", "dirty": number == 2}
+        machine = {"machine": {"processor": f"P{number % 2}"}}
+        run.path.mkdir()
+        run.write_meta({**made_by, **machine, "cpu_seconds": 120.0, "wall_seconds": 1.0})
+    assert blocks.provenance("p", []) == "Preset `p`: no run is complete."
+    assert blocks.provenance("p", runs[:2]) == (
+        "Preset `p`: 2 runs, 4 CPU minutes, at commit 023456789, 123456789, on P0; P1."
+    )
+    assert blocks.provenance("p", [*runs[1:], runs[2]], missing=4, controls=1) == (
+        "Preset `p`: 2 runs and 1 of controls (4 are missing), 6 CPU minutes, at commit "
+        "123456789, 223456789 with uncommitted changes, on P0; P1."
+    )
+    assert "at 3 commits with uncommitted changes" in blocks.provenance("p", runs)
