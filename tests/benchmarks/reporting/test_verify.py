@@ -171,6 +171,20 @@ def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
     assert "episodes.csv has acting ['exploring'], not ['greedy']" in result
 
 
+def test_an_uncertain_machine_is_tested_at_each_error(tmp_path: Path) -> None:
+    store = make_store(
+        tmp_path, [0], "cut", episodes=2,
+        keep=lambda cell: cell.track == "uncertain" and cell.method == "rainbow",
+    )  # fmt: skip
+    assert check_runs(store) == []
+    (run,) = store.completed()
+    rows = run.rows("episodes")
+    errors = sorted(map(float, rows["error"].unique()))
+    rows[rows["error"] < errors[-1]].to_csv(run.path / "episodes.csv", index=False)
+    (problem,) = check_runs(store)
+    assert f"episodes.csv has error {errors[:-1]}, not {errors}" in problem
+
+
 def test_a_policy_that_is_not_its_runs_is_named(store: Store) -> None:
     first, second, third = learners(store)[:3]
     for run, data in ((first, b"one"), (second, b"two")):
