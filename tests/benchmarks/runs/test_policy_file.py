@@ -44,6 +44,8 @@ def test_the_stored_policy_repeats_the_episodes(method: str, track: str, tmp_pat
     model = load_stored(run.policy)
     if method == "qrdqn":
         assert model.policy_kwargs["n_quantiles"] == 20
+    if method in ("dqn", "qrdqn"):
+        assert model.exploration_rate == PRESET.tracks[track].hyperparameters.epsilon_end > 0.0
     assert ("methods" in run.config()["track"]) == (method == "qrdqn")
     again = evaluate_cell(PRESET, cell, model=model)
     stored = run.rows("episodes")
@@ -59,13 +61,14 @@ def test_half_precision_moves_no_weight_further_than_its_last_bit(method: str) -
     whole = policy_file.digest(model)
     policy_file.reduce_to_acting(model)
     assert policy_file.digest(model) != whole
-    acting = {"rainbow": "q_net", "dqn": "q_net", "qrdqn": "quantile_net"}.get(method, "action_net")
+    of_actor = ("action_net.", "mlp_extractor.policy_net.")
+    acting = {"rainbow": "q_net.", "dqn": "q_net.", "qrdqn": "quantile_net."}.get(method, of_actor)
     compared = 0
     for name, value in model.policy.state_dict().items():
-        if name.startswith(f"{acting}.") and not name.endswith(("epsilon_in", "epsilon_out")):
+        if name.startswith(acting) and not name.endswith(("epsilon_in", "epsilon_out")):
             torch.testing.assert_close(value, before[name], rtol=2**-11, atol=2**-24)
             compared += 1
-    assert compared >= 2
+    assert compared >= 6  # two layers and the outputs
 
 
 def test_a_learner_that_is_built_writes_nothing_into_its_preset() -> None:
@@ -79,6 +82,16 @@ def test_a_policy_of_ones_own_may_act_by_a_part_of_any_name() -> None:
     policy: Any = torch.nn.Module()
     policy.critic = torch.nn.Linear(3, 2)
     policy.critic.weight.data.fill_(1.0 / 3.0)
+    policy.critic.bias.data.fill_(1e5)  # half precision ends before
     model = SimpleNamespace(policy=policy, _get_torch_save_params=lambda: ([], []))
     policy_file.reduce_to_acting(model)
     torch.testing.assert_close(policy.critic.weight, torch.full((2, 3), 1.0 / 3.0).half().float())
+    assert policy.critic.bias.tolist() == [1e5, 1e5]
+
+
+def test_a_digest_is_of_every_name_and_bit() -> None:
+    found = set()
+    for parts in ({"a": 1.0, "b": 2.0}, {"a": 1.0, "b": 2.0 + 2**-22}, {"a": 1.0, "c": 2.0}):
+        state = {name: torch.tensor(number) for name, number in parts.items()}
+        found.add(policy_file.digest(SimpleNamespace(policy=torch.nn.ParameterDict(state))))
+    assert len(found) == 3
