@@ -82,6 +82,15 @@ def test_a_stored_run_names_no_module_of_its_own(tmp_path: Path) -> None:
         inserter(tmp_path, "SAC", 0)
 
 
+def test_a_policy_of_ones_own_machine_is_loaded(tmp_path: Path) -> None:
+    path = Path(shutil.copy(POLICIES[0], tmp_path))
+    text = POLICIES[0].with_name("config.yaml").read_text("utf-8")
+    sizes = "{base_radius: 0.18, proximal_length: 0.1, platform_radius: 0.11}"
+    own = text.replace("geometry: optimized", "geometry: mine") + f"dimensions: {sizes}\n"
+    (tmp_path / "config.yaml").write_text(own, "utf-8")
+    assert load_model(path).action_space == load_stored(POLICIES[0]).action_space
+
+
 def test_what_a_stored_policy_pickles_stays_closed(here: Path) -> None:
     shutil.copy(POLICIES[0].with_name("config.yaml"), here)
     names = "anything", "observation_space", "policy_kwargs"
@@ -91,6 +100,7 @@ def test_what_a_stored_policy_pickles_stays_closed(here: Path) -> None:
 
 
 def test_a_strangers_model_asks_for_trust(here: Path, refused: Command) -> None:
+    shutil.copy(POLICIES[0].with_name("config.yaml"), here)  # of another file
     path = tampered(POLICIES[0], here / "my.zip", "anything")
     error = refused("evaluate", "--preset", "smoke", "--model", path, "--episodes", "1")
     assert "runs its author's code when it is loaded; add --trust" in error
@@ -106,7 +116,7 @@ def holding(content: bytes, part: str) -> Callable[[str, bytes], bytes]:
 def test_a_damaged_model_is_one_error(tmp_path: Path, name: str) -> None:
     Rainbow("MlpPolicy", CoopInsertionEnv(), buffer_size=100, device="cpu").save(tmp_path / "m")
     for content in (b"", CALL):  # which torch refuses to unpickle
-        damaged = rewritten(tmp_path / "m.zip", tmp_path / "my.zip", holding(content, name))
+        damaged = rewritten(tmp_path / "m.zip", tmp_path / "policy.zip", holding(content, name))
         with pytest.raises(BenchmarkError, match="is no model of 'rainbow'"):
             load_model(damaged, "rainbow", trust=True)
 

@@ -293,7 +293,8 @@ def test_a_gone_seeds_entry_is_replaced(planners: Path, done: Command, refused: 
     [
         (spaces.Box(0.0, 1.0, (12,)), spaces.Discrete(4), "acts in Discrete(4)"),
         (spaces.Box(0.0, 1.0, (3,)), spaces.Discrete(12), "expects observations Box(0.0, 1.0, (3,"),
-        (spaces.Box(-9.0, 9.0, (12,)), spaces.Discrete(12), "train with normalize=True"),
+        (spaces.Box(-9.0, 1.0, (12,)), spaces.Discrete(12), "train with normalize=True"),
+        (spaces.Box(0.0, 9.0, (12,)), spaces.Discrete(12), "train with normalize=True"),
     ],
 )
 def test_wrong_spaces_are_one_error(
