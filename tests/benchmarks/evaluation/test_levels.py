@@ -2,16 +2,23 @@
 
 import dataclasses
 import math
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.evaluation.evaluate import evaluate_cell, levels, with_random_moves
+from benchmarks.evaluation import evaluate
+from benchmarks.evaluation.evaluate import evaluate_cell, follow, levels, with_random_moves
+from benchmarks.methods import rrt_connect
 from benchmarks.methods.learners import build_model, make_training_env
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.methods.replanning import Replanner
 from benchmarks.protocol.plan import Cell, displaced
 from benchmarks.protocol.presets import Preset, load_preset
+from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.store import Store
 from benchmarks.studies.scoring.scores import FRESH_EPISODES, Replay
 from coop_env import SimToReal
@@ -85,6 +92,52 @@ def test_rows_say_how_they_were_played_and_exploring_repeats(method: str, preset
     assert 0.0 <= report[0] <= report[-1] <= 1.0
     first = report[: len(report) // 2]
     assert first == sorted(first)
+
+
+def test_all_see_the_seeds_own_noise(preset: Preset, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[np.ndarray] = []
+
+    def still(observations: np.ndarray, *_: object) -> np.ndarray:
+        seen.append(observations)
+        return np.zeros(len(observations), np.int64)
+
+    monkeypatch.setattr(evaluate, "control", lambda _, __, seed: {1: lambda episodes: still}[seed])
+    model = SimpleNamespace(predict=lambda rows, deterministic: (still(rows), None))
+    for method in ("greedy_observed", "dqn"):
+        mine = dataclasses.replace(cell(method, "safe"), seed=1)
+        rows = evaluate_cell(preset, mine, starts=7, model=model)
+        assert [row["reset_seed"] for row in rows] == 2 * episode_seeds(1, 2, starts=7)
+    assert np.ptp(np.split(np.concatenate(seen), 2), axis=0).max() == 0.0  # script and model
+
+
+def test_a_planner_plays_as_one_that_is_built_by_hand(preset: Preset) -> None:
+    players: list[tuple[str, str, Any]] = [
+        ("nominal_plan", "uncertain", Replanner(False, 10**6).play),
+        ("plan_search", "uncertain", Replanner(True, 10**6).play),
+        ("optimum", "uncertain", partial(follow, plan=LatticeOracle(real=True).plan)),
+        ("optimum_at_once", "", partial(follow, plan=LatticeOracle(at_once=True).plan)),
+    ]
+    for method, track, own in players:
+        mine, player = cell(method, track), evaluate.in_turn(own)
+        both = evaluate_cell(preset, mine), evaluate.play(player, preset, 0, levels(preset, mine))
+        rows, expected = ([str({**row, "plan_seconds": 0.0}) for row in each] for each in both)
+        assert rows == expected, method
+
+
+def test_rrt_has_its_cells_rules(preset: Preset, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[tuple[int, bool, bool]] = []
+
+    def execute(_: object, plan: int, finish: object = None, again: bool = False) -> None:
+        calls.append((plan, finish is not None, again))
+
+    monkeypatch.setattr(rrt_connect, "RRTConnect", lambda _, seed: SimpleNamespace(plan=seed))
+    monkeypatch.setattr(rrt_connect, "execute", execute)
+    for method, track in (("rrt_lattice", ""), ("rrt_connect", "uncertain"), ("rrt_connect", "")):
+        for seed in (0, 1):
+            evaluate_cell(preset, dataclasses.replace(cell(method, track), seed=seed))
+    rules = list(dict.fromkeys(call[1:] for call in calls))
+    assert rules == [(True, False), (False, True), (False, False)]
+    assert len({call[0] for call in calls}) == 2  # a seed of each run's own
 
 
 def test_rainbow_explores_by_its_noise_but_where_a_track_says_otherwise(preset: Preset) -> None:

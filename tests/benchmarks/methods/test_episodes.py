@@ -18,7 +18,7 @@ from benchmarks.evaluation.evaluate import (
     in_turn,
     play,
 )
-from benchmarks.methods.base import Policy
+from benchmarks.methods.base import Plan, Policy
 from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame, env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.plan import Cell
@@ -217,12 +217,17 @@ def test_noise_is_what_it_says_and_stays_in_range() -> None:
 
 def test_each_condition_has_all_episodes_and_seconds_where_nothing_is_noisy() -> None:
     preset, report = load_preset("smoke"), list[float]()
-    player = in_turn(lambda episode: follow(episode, LatticeOracle().plan))
+
+    def plan(env: CoopInsertionEnv) -> Plan:
+        return dataclasses.replace(LatticeOracle().plan(env), seconds=env.state["filled"].sum())
+
+    player = in_turn(lambda episode: follow(episode, plan))
     both = [Condition({**ARGUMENTS, "max_moves": 60}, noise) for noise in (0.0, 0.01)]
     rows = play(player, preset, 3, both, report.append)
     assert [row["reset_seed"] for row in rows] == 2 * episode_seeds(3, 2, "validate")
     assert [row["noise"] for row in rows] == [0.0, 0.0, 0.01, 0.01]
     assert all(row["success"] for row in rows)
+    assert [row["plan_seconds"] for row in rows] == 4 * [0.0]  # of the first plan
     assert [str(row["seconds_first"]) == "nan" for row in rows] == [False, False, True, True]
     assert report == [0.25, 0.5, 0.75, 1.0]
     others = play(player, preset, 3, both[:1], starts=7)
