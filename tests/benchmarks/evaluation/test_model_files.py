@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from stable_baselines3 import SAC
+from stable_baselines3 import DQN, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation import model_files
-from benchmarks.evaluation.model_files import detect_algorithm, load_model, load_stored
+from benchmarks.evaluation.model_files import detect_algorithm, load_model, load_stored, set_weights
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
@@ -89,6 +89,17 @@ def test_a_policy_of_ones_own_machine_is_loaded(tmp_path: Path) -> None:
     own = text.replace("geometry: optimized", "geometry: mine") + f"dimensions: {sizes}\n"
     (tmp_path / "config.yaml").write_text(own, "utf-8")
     assert load_model(path).action_space == load_stored(POLICIES[0]).action_space
+
+
+def test_a_policy_that_lacks_arrays_or_has_more_is_refused(tmp_path: Path) -> None:
+    flat, deep = (
+        DQN("MlpPolicy", CoopInsertionEnv(), policy_kwargs={"net_arch": layers}, device="cpu")
+        for layers in ([8], [8, 8])
+    )
+    for model, other in ((flat, deep), (deep, flat)):
+        other.save(tmp_path / "policy.zip")
+        with pytest.raises(BenchmarkError, match="is of another network: they differ in"):
+            set_weights(model, tmp_path / "policy.zip")
 
 
 def test_what_a_stored_policy_pickles_stays_closed(here: Path) -> None:
