@@ -47,12 +47,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        where, mend = error.filename, "name another place"
+        where, fix = error.filename, "name another place"
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            where, mend = where or "the results folder", "make room, the same command goes on"
+            where, fix = where or "the results folder", "make room, the same command goes on"
         elif where is None or error.errno not in MISPLACED:
             raise
-        print(f"error: {error.strerror}: {where}; {mend}", file=sys.stderr)
+        print(f"error: {error.strerror}: {where}; {fix}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, SystemError) as error:
         # numba makes the latter of a Ctrl-C that meets it in a kernel

@@ -10,7 +10,7 @@ TRUSTED = "load a --model that SB3 saved, which runs its author's code"  # of --
 
 
 class BenchmarkError(ValueError):
-    """Bad input: the message names the value and the mend, and nothing has been written."""
+    """Bad input: the message names the value and the fix, and nothing has been written."""
 
 
 def known(names: Iterable[str]) -> str:

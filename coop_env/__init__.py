@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from coop_env.vector.vec_env import CoopInsertionVecEnv as CoopInsertionVecEnv
     from coop_env.vector.vector_env import CoopInsertionVectorEnv as CoopInsertionVectorEnv
 
-# what compiles at a first call, and how long that takes
+# what compiles at a first call, and how long it takes
 _KERNELS = "kinematics, collisions, moves: up to a minute"
 _NAMES = {
     "env": ("CoopInsertionEnv",),
@@ -83,7 +83,7 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for, and not SB3 (so torch) unless the batched environment is."""
+    """Import names at first use; SB3, and so torch, only for the three ``VecEnv`` classes."""
     import importlib
 
     if name not in _HOMES:

@@ -139,7 +139,7 @@ class CoopInsertionEnv(Rendered):
             steps, start ranges, bodies. Another number of holes compiles the kernels once more.
 
     Raises:
-        ArgumentError: an argument is out of range (its message names the mend).
+        ArgumentError: an argument is out of range (its message names the fix).
         RewardError: so is a reward or one of its scales.
         GeometryError: a robot cannot be assembled, or not at its home height.
 
@@ -149,7 +149,7 @@ class CoopInsertionEnv(Rendered):
     """
 
     step_batch: ClassVar[Callable[..., None]] = staticmethod(batch.step_batch)
-    """What moves a batch's rows: arguments as :func:`coop_env.simulation.batch.step_batch`."""
+    """The kernel of a move: arguments as :func:`coop_env.simulation.batch.step_batch`."""
     more_options: Sequence[str] = ()
     """Names of reset options that a subclass takes out before :meth:`check_options` does."""
 
@@ -210,7 +210,7 @@ class CoopInsertionEnv(Rendered):
 
     @property
     def sim_to_real(self) -> SimToReal:
-        """What the machine does not know of itself."""
+        """The sim-to-real knobs: how far the real machine may be from its model."""
         return self._knobs
 
     @property
@@ -310,7 +310,7 @@ class CoopInsertionEnv(Rendered):
         return start_states.StartOptions(options, active, self._params, self.more_options)
 
     def _set_down(self) -> None:
-        """Where a subclass brings a machine of its own to the start, before anything is shown."""
+        """Bring a subclass's own machine to the start, before anything is shown; here, nothing."""
 
     def _tip(self) -> NDArray[Any]:
         """The peg's tip (3,), world frame, m."""

@@ -1,6 +1,6 @@
 """The named errors of the environment, and the checks of single values that raise them.
 
-Each is a ``ValueError`` whose message names the value and the mend.
+Each is a ``ValueError`` whose message names the value and the fix.
 """
 
 import math
@@ -41,7 +41,7 @@ class StateError(ValueError):
 
 @contextmanager
 def imports(why: str, extra: str, kind: type[Exception] = DependencyNotInstalled) -> Iterator[None]:
-    """Around imports: one that fails is an error that says why, and names the extra to install."""
+    """Turn a failed import into an error that says why, and names the extra to install."""
     try:
         yield
     except ImportError as error:
@@ -101,7 +101,7 @@ def check_integer(
 def check_list(
     name: str, value: Any, of: str, n: int | None = None, error: type[ValueError] = ArgumentError
 ) -> list[Any]:
-    """The entries, ``n`` if given, of a collection that is no text, mapping or iterator."""
+    """The entries (``n`` of them, if given) of a collection; texts and mappings are refused."""
     one = isinstance(value, (str, bytes, Mapping)) or getattr(value, "ndim", 1) == 0
     if one or not isinstance(value, Collection) or n not in (None, len(value)):
         raise error(f"{name} = {value!r}: must be {of}")
@@ -124,7 +124,7 @@ def check_flag(name: str, value: Any) -> bool:
 
 
 def as_dataclass(name: str, value: Any, kind: type[T], presets: Mapping[Any, T] = _NONE) -> T:
-    """A dataclass of ``kind`` as it is, by its preset's name (or None), or from its fields."""
+    """A dataclass of ``kind``, from itself, a preset's name (or None), or a mapping of fields."""
     if isinstance(value, kind):
         return value
     if isinstance(value, str | None) and value in presets:

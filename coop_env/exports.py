@@ -4,7 +4,7 @@ Meshes are the shapes that the renderer draws, each in its link's own frame. Tha
 nearest to the link's base, x along the link, y along the axis of the actuated joint: the frames of
 the twin's MJCF.
 
-SDF can say what URDF cannot: links that close loops. Two models in one world, each with all its
+SDF can express what URDF cannot: links that close loops. Two models in one world, each with all its
 joints: six rods with a universal joint at the knee and a ball at the wrist hold the Delta's
 effector level, three balls hold the platform. Every joint's zero is at home. Masses and inertias
 are those of the twin's MJCF, a forearm's halved between its rods.

@@ -23,7 +23,7 @@ MAX_JOINT_JERK: Final = 10_000.0
 
 
 class GeometryError(ValueError):
-    """A geometry that cannot be built or assembled; the message names the value and the mend."""
+    """A geometry that cannot be built or assembled; the message names the value and the fix."""
 
 
 @dataclass(frozen=True, slots=True)

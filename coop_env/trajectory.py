@@ -70,11 +70,11 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """Of the whole, s."""
+        """Duration of the whole, s."""
         return float(self.times[-1])
 
     def blocked(self) -> list[tuple[int, str]]:
-        """Ways that are not free: number of the move, from 0, and the first reason on it."""
+        """Ways that are not free: the move's number, from 0, and the first reason."""
         result: dict[int, str] = {}
         for sample in np.flatnonzero(self.status):
             move = max(int(np.searchsorted(self.stops, sample)) - 1, 0)

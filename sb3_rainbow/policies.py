@@ -54,7 +54,7 @@ class RainbowPolicy(AsVector, BasePolicy):
     q_net: RainbowNetwork
     q_net_target: RainbowNetwork
     _default_extractor: ClassVar[type[BaseFeaturesExtractor]] = FlattenExtractor
-    _parameters_then: Sequence[nn.Parameter] = ()  # of the online network when last looked at
+    _parameters_then: Sequence[nn.Parameter] = ()  # the online network's at the last check
 
     def __init__(
         self,

@@ -353,7 +353,7 @@ class Rainbow(ResumableAlgorithm):
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Update the networks ``gradient_steps`` times, by ``batch_size`` transitions each.
 
-        Who replaces it moves the target network too, or sets ``target_update_interval``.
+        A method in its place must move the target network too, or set ``target_update_interval``.
         """
         buffer = self.replay_buffer
         assert buffer is not None
@@ -365,8 +365,8 @@ class Rainbow(ResumableAlgorithm):
                 return
         if gradient_steps < 1:
             return
-        self.policy.q_net_target.set_training_mode(False)  # what was put into it since, too
-        self.policy.set_training_mode(True)  # and what both share
+        self.policy.q_net_target.set_training_mode(False)  # and modules put into it since
+        self.policy.set_training_mode(True)  # and modules that both networks share
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
         learner.double_q, learner.max_grad_norm = self.double_q, self.max_grad_norm

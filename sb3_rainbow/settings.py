@@ -112,7 +112,7 @@ def default_tau(target_update_interval: int | None) -> float:
 def head_and_support(
     distributional: Distributional | None, v_min: float | None, v_max: float | None
 ) -> tuple[Distributional, float, float]:
-    """The head where nobody asked for one, and the support's ends where nobody gave them."""
+    """The head and the ends of its support; None stands for a default."""
     uses_support = distributional is None or head_of(distributional) == "categorical"
     if uses_support and (v_min is None) != (v_max is None):
         given, missing = ("v_min", "v_max") if v_max is None else ("v_max", "v_min")
@@ -136,7 +136,7 @@ def support_of(
 
 
 def support_in_file(path: SaveFile) -> tuple[float, ...] | None:
-    """The :func:`support_of` a saved model; None of what is none, which SB3 refuses."""
+    """The :func:`support_of` a saved model; None if the file has none, or is no model."""
     file = open_path(path, "r", suffix="zip")
     with nullcontext() if file is path else file:
         if not zipfile.is_zipfile(file):

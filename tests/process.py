@@ -10,10 +10,10 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def python(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
+def python(*argv: str, **options: Any) -> subprocess.CompletedProcess[str]:
     """A Python process that ended well, with what it wrote."""
     done = subprocess.run(
-        [sys.executable, *words], capture_output=True, text=True, check=False, **options
+        [sys.executable, *argv], capture_output=True, text=True, check=False, **options
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done

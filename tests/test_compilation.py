@@ -37,15 +37,15 @@ print(delta.inverse(np.array([0.0, 0.0, -0.5])).theta.sum().round(9))
 """
 
 
-def run(*words: str, **environment: str) -> CompletedProcess[str]:
+def run(*argv: str, **environment: str) -> CompletedProcess[str]:
     """A process that knows no cache but the one it is told of, and compiles faster."""
     unset = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
     kept = {name: value for name, value in os.environ.items() if name not in unset}
     places = {"PYTHONPATH": str(ROOT), "NUMBA_OPT": "1", **environment}
-    return python(*words, env={**kept, **places}, cwd="/")  # not where this clone is
+    return python(*argv, env={**kept, **places}, cwd="/")  # not where this clone is
 
 
-def told(done: CompletedProcess[str]) -> list[str]:
+def announcements(done: CompletedProcess[str]) -> list[str]:
     """What a process says about compilation."""
     return [line for line in done.stderr.splitlines() if "compiling" in line]
 
@@ -59,7 +59,7 @@ def test_a_cold_cache_is_announced_once_and_first_and_is_sound(tmp_path: Path) -
     with ThreadPoolExecutor(2) as pool:
         cold = [*pool.map(start, [BEGINS + KINEMATICS] * 2)]
     warm = start(KINEMATICS)
-    announced = [lines for done in cold if (lines := told(done))]
+    announced = [lines for done in cold if (lines := announcements(done))]
     assert announced
     for report, begins in announced:
         assert report.startswith("coop_env: compiling kernels (")
@@ -68,7 +68,7 @@ def test_a_cold_cache_is_announced_once_and_first_and_is_sound(tmp_path: Path) -
         )
         assert begins == "numba begins compiling"
     assert {done.stdout for done in cold} == {warm.stdout}
-    assert told(warm) == []
+    assert announcements(warm) == []
 
 
 @pytest.mark.parametrize("archived", [False, True])
@@ -81,7 +81,7 @@ def test_where_nothing_can_be_written(tmp_path: Path, archived: bool) -> None:
         (source.parent / "__pycache__").touch()
     if archived:
         place = Path(shutil.make_archive(str(place), "zip", place))
-    (report,) = told(run("-c", KINEMATICS, PYTHONPATH=str(place), HOME=os.devnull))
+    (report,) = announcements(run("-c", KINEMATICS, PYTHONPATH=str(place), HOME=os.devnull))
     assert report.startswith("coop_env: compiling kernels (")
     assert report.endswith("set NUMBA_CACHE_DIR to one that can")
 

@@ -45,9 +45,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the built site."""
     folder = tmp_path_factory.mktemp("site")
     nowhere = "http://127.0.0.1:9"  # an inventory or a font from elsewhere would fail
-    words = ["-W", "--keep-going", "-q", str(ROOT / "docs"), str(folder)]
+    argv = ["-W", "--keep-going", "-q", str(ROOT / "docs"), str(folder)]
     proxies = {"http_proxy": nowhere, "https_proxy": nowhere}
-    python("-m", "sphinx", *words, env={**os.environ, **proxies})
+    python("-m", "sphinx", *argv, env={**os.environ, **proxies})
     return folder
 
 

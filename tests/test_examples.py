@@ -51,14 +51,14 @@ def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_example_does_what_it_says(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    number, said, left = SHORT[name]
+    number, pattern, left = SHORT[name]
     monkeypatch.setattr(sys, "argv", [name, number])
     ended: list[object] = []
     monkeypatch.setattr(sys, "exit", ended.append)  # the last that some do
     runpy.run_module(f"examples.{name}", run_name="__main__")
     assert not any(ended)
     printed = capsys.readouterr().out
-    assert re.search(said, printed, re.MULTILINE), printed
+    assert re.search(pattern, printed, re.MULTILINE), printed
     for model in left:
         assert Rainbow.load(tmp_path / model, buffer_size=1).policy is not None
     assert {path.name for path in tmp_path.iterdir()} <= {"build", "results"}

@@ -145,16 +145,16 @@ def test_no_path_of_one_machine() -> None:
 def test_what_setup_cfg_says_is_the_same_wherever_it_stands() -> None:
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg")
-    said = setup["metadata"]
+    meta = setup["metadata"]
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     page = (ROOT / "docs" / "citing.md").read_text(encoding="utf-8")
     assert f"version = {{{cited['version']}}}" in page
     assert (
-        {cited["version"], said["version"]} == {coop_env.__version__} == {sb3_rainbow.__version__}
+        {cited["version"], meta["version"]} == {coop_env.__version__} == {sb3_rainbow.__version__}
     )
     for name in ("CITATION.cff", "LICENSE", "docs/citing.md"):
-        assert said["author"] in (ROOT / name).read_text(encoding="utf-8"), name
-    assert said["url"] in (ROOT / "examples" / "rainbow.ipynb").read_text(encoding="utf-8")
+        assert meta["author"] in (ROOT / name).read_text(encoding="utf-8"), name
+    assert meta["url"] in (ROOT / "examples" / "rainbow.ipynb").read_text(encoding="utf-8")
 
 
 def test_a_package_lists_what_it_exports_and_has_it() -> None:

@@ -92,13 +92,13 @@ def test_make_refuses_another_python_in_one_line(tmp_path: Path) -> None:
     code = "import sys; sys.version_info = 3, 14, 0; exec(sys.argv[1])"
     pretender.write_text(f"#!/bin/sh\nexec {sys.executable} -c '{code}' \"$2\"\n", "utf-8")
     pretender.chmod(0o755)
-    words = ["make", "env", f"PYTHON={pretender}", f"VENV={tmp_path / 'venv'}"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    argv = ["make", "env", f"PYTHON={pretender}", f"VENV={tmp_path / 'venv'}"]
+    done = subprocess.run(argv, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode != 0
-    said = [line for line in done.stderr.splitlines() if not line.startswith("make")]
-    assert len(said) == 1
-    assert "Python 3.11 to 3.13 is needed" in said[0]
-    assert "is 3.14" in said[0]
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("make")]
+    assert len(lines) == 1
+    assert "Python 3.11 to 3.13 is needed" in lines[0]
+    assert "is 3.14" in lines[0]
     assert not (tmp_path / "venv").exists()
 
 

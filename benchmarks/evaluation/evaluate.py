@@ -27,8 +27,8 @@ from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
 
 Rows = list[dict[str, object]]
-OnProgress = Callable[[float], None]  # hears which share is done
-#: plays all these episodes, which are under one condition
+OnProgress = Callable[[float], None]  # called with the share that is done, 0 to 1
+#: plays a list of episodes, all under the same condition
 Player = Callable[[Sequence[Episode], "Condition", OnProgress], None]
 
 
@@ -107,7 +107,7 @@ def play(
 
 
 def in_turn(play_one: Callable[[Episode], None]) -> Player:
-    """Plays one episode after the other."""
+    """A player that plays one episode after the other."""
 
     def player(episodes: Sequence[Episode], _: Condition, progress: OnProgress) -> None:
         for number, episode in enumerate(episodes, start=1):
@@ -118,7 +118,7 @@ def in_turn(play_one: Callable[[Episode], None]) -> Player:
 
 
 def by_policy(policy: Policy, seed: int) -> Player:
-    """Plays episodes side by side by a policy that remembers nothing; the noise is of the seed."""
+    """A player that asks a policy without memory for all moves at once; ``seed``: of the noise."""
 
     def player(episodes: Sequence[Episode], at: Condition, progress: OnProgress) -> None:
         def choose(observations: Observations, masks: Masks, _: Sequence[int]) -> NDArray[Any]:
@@ -130,7 +130,7 @@ def by_policy(policy: Policy, seed: int) -> Player:
 
 
 def _player(preset: Preset, cell: Cell, model: Any) -> Player:
-    """Plays by a control or a trained model, which explores where the condition says so."""
+    """A player for a control or a trained model; it explores where the condition says so."""
 
     def player(episodes: Sequence[Episode], at: Condition, progress: OnProgress) -> None:
         if cell.method not in CONTROLS:
@@ -155,7 +155,7 @@ def _player(preset: Preset, cell: Cell, model: Any) -> Player:
 def with_random_moves(
     choose: Chooser, generators: Sequence[np.random.Generator], share: float = RANDOM_MOVES
 ) -> Chooser:
-    """A script of whose moves a share is random among the allowed; a generator for each episode."""
+    """The script, a share of its moves random among the allowed; a generator for each episode."""
 
     def explore(observations: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
         actions = np.array(choose(observations, masks, running))
@@ -186,7 +186,7 @@ def play_together(
     noise_seed: int,
     progress: OnProgress = lambda share: None,
 ) -> None:
-    """Play all episodes side by side until each is over: a network is asked once per move.
+    """Play all episodes side by side until each is over, with one call of ``choose`` per move.
 
     Gaussian ``noise`` (standard deviation) is added to the normalized observations, which are
     clipped to [0, 1]. It is drawn per episode, so that it is the same for every method.
@@ -217,7 +217,7 @@ def model_policy(model: Any, deterministic: bool = True) -> Policy:
         rows = [act(observations[i : i + 1], masks[i : i + 1]) for i in range(len(observations))]
         return np.concatenate(rows)
 
-    # these toss one coin for a whole batch: episodes are to explore each for itself
+    # these draw once for a whole batch, but each episode is to explore for itself
     shares_a_coin = isinstance(model, DQN | QRDQN) and not deterministic
     return act_one_by_one if shares_a_coin else act
 

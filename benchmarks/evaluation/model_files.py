@@ -36,7 +36,7 @@ _POLICIES: Final = {
 
 
 def algorithms() -> dict[str, str]:
-    """Where the algorithms are whose models can be scored, by name: they act on one observation."""
+    """``module:Class`` by name, for each algorithm whose models can be scored."""
     return {
         **{name: learner.where for name, learner in LEARNERS.items() if learner.discrete},
         "a2c": "stable_baselines3:A2C",
@@ -47,7 +47,7 @@ def algorithms() -> dict[str, str]:
 
 
 def detect_algorithm(path: Path) -> str:
-    """The algorithm whose ``save`` wrote the file; BenchmarkError if that cannot be told."""
+    """The algorithm whose ``save`` wrote the file; BenchmarkError if that cannot be found out."""
     if is_model_file(path):
         return "rainbow"
     if _is_of_run(path):
@@ -78,12 +78,12 @@ def detect_algorithm(path: Path) -> str:
 
 
 def _is_of_run(path: Path) -> bool:
-    """Whether a file is a run's policy, of which the config.yaml beside it tells all."""
+    """Whether a file is a run's policy, described by the config.yaml beside it."""
     return path.name == "policy.zip" and path.with_name("config.yaml").is_file()
 
 
 def _plain_settings(path: Path) -> dict[str, Any]:
-    """Settings of a model that SB3 saved; those that are no JSON stay the text of their pickle."""
+    """Settings of a model that SB3 saved; what is not JSON is left as the text of its pickle."""
     with zipfile.ZipFile(path) as archive:
         return dict(json.loads(archive.read("data")))
 
@@ -94,7 +94,7 @@ def load_stored(path: Path) -> Any:
     Only the policy's arrays are read, by torch's ``weights_only=True``, and how much it explores.
 
     Raises:
-        BenchmarkError: the settings are no learner's, or the policy is not theirs.
+        BenchmarkError: the settings are not a learner's, or the policy does not fit them.
     """
     config = read_yaml(path.with_name("config.yaml"))
     try:
@@ -124,13 +124,13 @@ def load_stored(path: Path) -> Any:
 
 
 def set_weights(model: BaseAlgorithm, path: Path) -> None:
-    """Give a model the policy's arrays of a file that SB3 saved, and open none of its pickles.
+    """Load a policy's arrays from a file that SB3 saved into a model; no pickle is opened.
 
     SB3 below 2.8, which setup.cfg excludes, would open them.
     """
     try:
         _, parameters, _ = load_from_zip_file(path, load_data=False, device="cpu")
-    except pickle.UnpicklingError as error:  # torch's own words tell how to run it
+    except pickle.UnpicklingError as error:  # torch's own message says how to run it
         raise BenchmarkError(
             f"{path} holds something else than arrays, or is damaged: nothing of it was run"
         ) from error
@@ -149,7 +149,7 @@ def load_model(path: Path, algorithm: str | None = None, trust: bool = False) ->
         trust: whether to load what SB3 saved, which **runs its author's code**.
 
     Raises:
-        BenchmarkError: there is no such algorithm or file, or it will not do, or needs trust.
+        BenchmarkError: there is no such algorithm or file, it does not fit, or it needs trust.
     """
     choices = algorithms()
     if algorithm is not None and algorithm not in choices:
@@ -179,7 +179,7 @@ def load_model(path: Path, algorithm: str | None = None, trust: bool = False) ->
     kind = resolve(choices[name], f"algorithm '{name}':")
     try:
         return kind.load(path, device="cpu")
-    except Exception as error:  # whatever a class makes of another's file
+    except Exception as error:  # anything may be raised by a class that reads another's file
         raise BenchmarkError(f"{path} is no model of '{name}': {error}") from error
 
 

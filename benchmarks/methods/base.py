@@ -1,4 +1,4 @@
-"""What methods share: how they act, a planner's answer, the box it searches, the peg's miss."""
+"""What methods share: policy types, a planner's answer, the box it searches, the peg's miss."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -19,13 +19,13 @@ Observations = NDArray[np.float32]
 Masks = NDArray[np.bool_]
 #: actions (n,) for observations (n, size) and masks (n, actions)
 Policy = Callable[[Observations, Masks], NDArray[Any]]
-#: the same, told the indices (n,) of the episodes they are of, too
+#: the same, with the indices (n,) of their episodes as a third argument
 Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A planner's answer for the environment's current target; planning leaves it alone."""
+    """A planner's answer for the current target; planning does not change the environment."""
 
     status: str  # "solved", or why there is no plan
     moves: NDArray[np.int64] | None  # (n,) actions to execute in order, or None without a plan

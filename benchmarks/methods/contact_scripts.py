@@ -1,8 +1,8 @@
 """Scripts for the contact task, which bound what learning adds there.
 
-All but the stiff push are admittances: the command gives way to the force on the peg, by so much of
-an increment per newton, and presses until the force along the hole is what they hold. They know the
-observation alone, and of it the force, the moment, and the command.
+All but the stiff push are admittances: the command yields to the force on the peg, by a share of an
+increment per newton, and presses until the force along the hole is ``hold``. They read only the
+force, the moment, the command and the tip's height in the observation.
 """
 
 import math
@@ -28,7 +28,7 @@ NEWTON_METRES: Final = 0.05
 
 @dataclass(frozen=True)
 class Gains:
-    """What decides how a script moves; each uses what it needs."""
+    """Gains of the scripts; each script uses those it needs."""
 
     hold: float = 3.0  # force along the hole at which the command stands still, N
     give: float = 0.1  # increments of depth per N beside that
@@ -37,12 +37,12 @@ class Gains:
     guide: float = 0.5  # increments per mm by which the contact lies beside the tip
     pitch: float = 0.002  # between two turns of the spiral, m
     pace: float = 1.3  # of the spiral, increments per step
-    drop: float = 0.001  # so much below where it first touched the tip is in the hole, m
+    drop: float = 0.001  # the tip is in the hole this far below its first touch, m
     rise: float = 0.003  # by which the platform comes up, m; more meets the peg at full speed
 
 
 class StiffPush:
-    """Straight down, whatever is in the way."""
+    """Goes straight down, whatever is in the way."""
 
     def __init__(self, env: "CoopInsertionContactEnv", gains: Gains) -> None:
         self.gains, self.task = gains, env.task
@@ -62,10 +62,10 @@ class StiffPush:
 
 
 class CompliantPush(StiffPush):
-    """Down to the first contact, then as the forces allow."""
+    """Goes down to the first contact, then as the forces allow."""
 
     def move(self, action: Floats, seen: Floats) -> None:
-        """As the stiff push, and the platform rises, while nothing is touched."""
+        """As the stiff push, with the platform rising, while nothing is touched."""
         force, g = NEWTONS * seen[FORCE], self.gains
         free = force[TIP_Z] < 0.5 * g.touch
         action[TIP_Z] = -1.0 if free else g.give * (force[TIP_Z] - g.hold)
@@ -76,13 +76,13 @@ class CompliantPush(StiffPush):
 
 
 class MomentSearch(CompliantPush):
-    """Away from where the peg stands on the rim, as the moment about its tip tells.
+    """Moves away from where the peg stands on the rim, which the moment about its tip shows.
 
     A force N along the peg at (x, y) beside its tip makes the moment (y N, -x N).
     """
 
     def move(self, action: Floats, seen: Floats) -> None:
-        """As the compliant push, and towards the side that does not bear."""
+        """As the compliant push, and towards the unsupported side."""
         super().move(action, seen)
         pressing = NEWTONS * seen[FORCE][TIP_Z]
         if pressing > self.gains.touch:
@@ -92,7 +92,7 @@ class MomentSearch(CompliantPush):
 
 
 class SpiralSearch(CompliantPush):
-    """A spiral of Archimedes about the first contact, pressing, until the tip drops."""
+    """Presses along an Archimedean spiral about the first contact until the tip drops."""
 
     def reset(self) -> None:
         """Nothing is touched yet."""

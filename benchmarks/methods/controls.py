@@ -1,11 +1,11 @@
-"""Scripted controls: what a method needs no learning for, under the masks of its track.
+"""Scripted controls: how well a track's masks and observations do without learning.
 
 *Random* draws from the allowed moves. *Greedy* makes the allowed move after which the potential
 ``500 d + w a`` is least, with the distance d (m) of the tip from the target's mouth, the angle a
 (rad) between the peg and its normal, and a weight w that is chosen on validation starts.
 *Lookahead* makes the first of the two allowed moves after which it is least; of equal pairs, the
-one with the least potential in between. An insertion is the least there is, and none is put off.
-What is still equal goes to the lower action.
+one with the least potential in between. An insertion counts as the least of all and is made at
+once. Ties go to the lower action.
 
 The plain ones see the state as the controller's model knows it. Those from the *observation* have
 its 12 numbers, noise included: the target is the hole whose mouth and normal come nearest to them.
@@ -42,7 +42,7 @@ ROUNDING: Final = 1e-9  # what a move must win, or its robot holds
 
 
 def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Episode]], Chooser]:
-    """What plays a control in episodes of one environment's arguments, which it is given."""
+    """A function that returns a control's chooser for episodes whose environments are alike."""
     if method == "random":
         return lambda episodes: _random(episodes, seed)
     weight = getattr(weights, f"{method}_angle")
@@ -94,7 +94,7 @@ def potential(c: Configuration, target: int, weight: float, p: EnvParams) -> flo
 
 @njit(cache=True)
 def imagine(s: state.Record, action: int, p: EnvParams) -> None:
-    """Make a move on a copy of a state as the controller's model would: offset, memory and mask."""
+    """Make a move on a copy of a state by the controller's model: offset, memory and mask."""
     if p.task.visited > 0:
         state.leave(s)
     s.offset[action // 2] += 1 - 2 * (action % 2)
@@ -106,7 +106,7 @@ def imagine(s: state.Record, action: int, p: EnvParams) -> None:
 
 @njit(cache=True)
 def choices(states: np.ndarray, weight: float, ahead: bool, packed: np.ndarray) -> np.ndarray:
-    """What *greedy*, or with ``ahead`` *lookahead*, does in states (n,)."""
+    """Choices (n,) of *greedy*, or with ``ahead`` of *lookahead*, in states (n,)."""
     p = task.unpack(packed)
     out = np.empty(states.shape[0], np.int64)
     spare = states[:1].copy()
@@ -129,8 +129,8 @@ def _look_ahead(
 ) -> int:
     """The first of the best two moves; ``after`` (12,) is the potential after one, inf if barred.
 
-    Masks cost most, so the first moves come in the order of what any second would make of them, up
-    to where none of those left can be as good as the best found.
+    Masks cost most, so first moves are tried in the order of the best that any second move could
+    make of them, until none that is left can beat the best found.
     """
     pairs = np.full((N_ACTIONS, N_ACTIONS), math.inf)
     floor = np.full(N_ACTIONS, math.inf)
@@ -161,7 +161,7 @@ def _look_ahead(
 
 @njit(cache=True)
 def moved(s: state.Record, delta: int, rrs: int, p: EnvParams) -> Configuration:
-    """Where both robots' choices lead."""
+    """The configuration to which both robots' choices lead."""
     d = state.neighbour(s, joint.move_of(joint.DELTA, delta), p)
     r = state.neighbour(s, joint.move_of(joint.RRS, rrs), p)
     return d[0], d[1], d[2], r[3], r[4], r[5]
@@ -171,7 +171,7 @@ def moved(s: state.Record, delta: int, rrs: int, p: EnvParams) -> Configuration:
 def joint_choices(
     states: np.ndarray, masks: np.ndarray, weight: float, packed: np.ndarray
 ) -> np.ndarray:
-    """What a central *greedy* does in states (n,) under joint masks (n, 49); one robot moves."""
+    """Choices (n,) of a central *greedy* under joint masks (n, 49); at least one robot moves."""
     p = task.unpack(packed)
     out = np.empty(states.shape[0], np.int64)
     for i in range(states.shape[0]):
@@ -189,7 +189,7 @@ def joint_choices(
 def own_choices(
     states: np.ndarray, masks: np.ndarray, weight: float, sight: bool, packed: np.ndarray
 ) -> np.ndarray:
-    """What two *greedy* agents do in states (n,) under joint masks (n, 49)."""
+    """Choices (n,) of two *greedy* agents in states (n,) under joint masks (n, 49)."""
     p = task.unpack(packed)
     out = np.empty(states.shape[0], np.int64)
     chosen, hold = np.empty(2, np.int64), joint.HOLD_CHOICE
@@ -213,7 +213,7 @@ def own_choices(
 
 @njit(cache=True)
 def believe(states: np.ndarray, rows: np.ndarray, o: np.ndarray, packed: np.ndarray) -> None:
-    """Write to states (n,) what observations (n, 12) of transform ``o`` tell."""
+    """Write to states (n,) what observations (n, 12) of transform ``o`` show: start, target."""
     p = task.unpack(packed)
     for i in range(states.shape[0]):
         s, si = states[i], rows[i] / o[1, :12] + o[0, :12]

@@ -1,4 +1,4 @@
-"""One test episode: moves an environment and keeps what the metrics need. No torch here."""
+"""One test episode: it moves an environment and keeps what the metrics need. No torch here."""
 
 import hashlib
 import math

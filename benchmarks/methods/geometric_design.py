@@ -37,7 +37,7 @@ def measured_runs(runs: int, progress: Callable[[float], None]) -> list[DesignRu
 
 
 def table_rows(result: Sequence[DesignRun]) -> list[Row]:
-    """The paper's five rows: its values, ours (text, mean, std), and what is to be said."""
+    """The paper's five rows: its values, ours (text, mean, std), and a remark."""
     initial = [run.initial for run in result]
     optimized = [run.optimized for run in result]
     cone = [100 * np.mean([m.kappa_variation_cone for m in ms]) for ms in (initial, optimized)]

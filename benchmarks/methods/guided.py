@@ -1,7 +1,7 @@
-"""Learners that a script guides: their first steps are its own with noise, or all that they learn.
+"""Learners guided by a script: they begin with its noisy steps, or learn nothing but to copy it.
 
-Exploring at random, a peg seldom comes down to the hole at all; the script's steps fill the replay
-buffer with ways that do. They count as steps of the training.
+A peg that explores at random seldom comes down to the hole at all. The script's steps fill the
+replay buffer with ways that do. They count as training steps.
 """
 
 from functools import cache
@@ -33,7 +33,7 @@ class Guided(OffPolicyAlgorithm):
     _guide: Guide
 
     def follow(self, guide: Guide) -> None:
-        """Be guided; BenchmarkError if the script has no such gain."""
+        """Set the guide; BenchmarkError if the script has no such gain."""
         if unknown := guide.gains.keys() - Gains.__annotations__.keys():
             raise BenchmarkError(
                 f"guide: unknown gain '{min(unknown)}'; known: {known(Gains.__annotations__)}"
@@ -96,7 +96,7 @@ class Cloning(Guided, TD3):
         return self._with_noise(wanted), wanted
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        """So many steps of the regression."""
+        """Make ``gradient_steps`` steps of the regression."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.actor.optimizer)
         assert self.replay_buffer is not None

@@ -31,7 +31,7 @@ BARRED: Final = 255  # of a point, in place of the move that led there
 
 
 class Lattice(NamedTuple):
-    """Lattice points around ``start``; they are numbered in C order, and serve every target.
+    """Lattice points around ``start``, numbered in C order; one lattice serves every target.
 
     ``low`` (6,) is the least offset on each axis, in moves. A point's number is the number of its
     Delta node times ``rrs_free.size``, plus that of its 3-RRS node; ``strides`` (6,) are the
@@ -84,7 +84,7 @@ def configuration_at(lattice: Lattice, point: int) -> Configuration:
         point // strides[3] % shape[3] + low[3],
         point // strides[4] % shape[4] + low[4],
         point // strides[5] % shape[5] + low[5],
-    )  # no array: it would be the most of the work
+    )  # no array, whose making would take most of the time
     return state.lattice_configuration(lattice.start, offset, lattice.p)
 
 
@@ -120,9 +120,9 @@ def real_sigma(lattice: Lattice, c: Configuration) -> float:
 
 @njit(cache=True)
 def placed(lattice: Lattice, c: Configuration) -> tuple[bool, Row, Row, Pose, Row]:
-    """Whether the robots close at a configuration, effector, theta, pose and q.
+    """Whether both robots can be assembled at a configuration; effector, theta, pose and q there.
 
-    Of an imperfect machine, the real ones, the platform's as the Delta meets it.
+    For an imperfect machine these are the real ones, the pose as the Delta meets it.
     """
     m, p = lattice.machine, lattice.p
     _, theta, pose, q = state.joint_angles(c, p)
@@ -214,12 +214,12 @@ def _point_collides(lattice: Lattice, point: int) -> bool:
 
 
 def single_jumps(lattice: Lattice) -> NDArray[np.int64]:
-    """What each of the 12 moves of one robot adds to a point's number."""
+    """The change of a point's number by each of the 12 moves of one robot."""
     return (lattice.strides[:, None] * np.array([1, -1])).ravel()
 
 
 def joint_jumps(lattice: Lattice) -> NDArray[np.int64]:
-    """What each of the 49 joint actions adds: both robots move, or one or both hold."""
+    """The change by each of the 49 joint actions: both robots move, or one or both hold."""
     choices = np.append(single_jumps(lattice).reshape(2, 6), np.zeros((2, 1), np.int64), axis=1)
     return (choices[0][:, None] + choices[1]).ravel()
 
@@ -304,7 +304,7 @@ def trace_back(
 
 
 class Paths:
-    """Shortest paths on a lattice that keep off its ``barred`` points; what they share is kept."""
+    """Shortest paths on a lattice that avoid its ``barred`` points; distances are cached."""
 
     def __init__(self, lattice: Lattice, node_limit: int, at_once: bool = False) -> None:
         self.lattice, self.node_limit, self.at_once = lattice, node_limit, at_once

@@ -30,7 +30,7 @@ from sb3_rainbow import Rainbow
 from sb3_rainbow.policies import RainbowPolicy
 
 CHECKED_BUFFER = 10_000
-# constructor arguments that no preset gives
+# constructor arguments that no preset sets
 OURS: Final = ("policy", "env", "seed", "device", "_init_setup_model")
 LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
 #: Rainbow's defaults when the suites' settings were chosen, which leave some of them unsaid
@@ -80,7 +80,7 @@ def class_of(method: str) -> type[BaseAlgorithm]:
 
 
 def class_on(task: Task, method: str) -> type[BaseAlgorithm]:
-    """The algorithm of a method on a public task, which a script may guide, if it has one."""
+    """The algorithm of a method on a public task; a guide of the task guides off-policy ones."""
     algorithm = class_of(method)
     if task.guide is None and issubclass(algorithm, Guided):
         raise BenchmarkError(f"{task.title}: {method} learns from a script: give the task a guide")
@@ -107,7 +107,7 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
 
 
 def _of_track(track: Track, algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
-    """What an algorithm's constructor takes of a track's hyperparameters."""
+    """The constructor arguments of an algorithm that a track's hyperparameters give."""
     h, accepted = track.hyperparameters, _accepted(algorithm)
     rates = (h.learning_rate, h.learning_rate_end)
     network: dict[str, Any] = {"net_arch": list(h.net_arch)}
@@ -148,7 +148,7 @@ def build_on(
 ) -> BaseAlgorithm:
     """The learner of a public task, untrained, in its environments.
 
-    ``network`` is what ``policy_kwargs`` hold where the task's settings say nothing.
+    ``network`` holds the ``policy_kwargs`` where the task's settings have none.
 
     Raises:
         BenchmarkError: a setting is unknown to the method's constructor.
@@ -194,7 +194,7 @@ def _checked(
 
 
 def _spelled_out(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Rainbow's arguments with its :data:`FORMER_DEFAULTS` where they say nothing."""
+    """Rainbow's arguments, completed by its :data:`FORMER_DEFAULTS`."""
     former = dict(FORMER_DEFAULTS)
     # then there was no epsilon beside the noise unless one of its three arguments was given
     if not arguments.get("noisy", True) or any("exploration" in name for name in arguments):

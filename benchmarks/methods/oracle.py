@@ -24,7 +24,7 @@ class LatticeOracle:
         node_limit: pairs of lattice nodes to expand before giving up with ``"node_limit"``.
         real: with sim-to-real knobs, plan on the real machine, which nobody else knows, not on its
             model. Exact where the base is displaced and the joints are coarse, without backlash,
-            latency and luck.
+            latency and chance.
         at_once: both robots move in each tick, as in ``CoopInsertionJoint-v0``: the fewest ticks,
             and a plan of joint actions.
     """
@@ -109,7 +109,7 @@ class LatticeOracle:
         return moves, search.INFEASIBLE
 
     def _execute(self, state: Any, moves: NDArray[np.int64], p: EnvParams) -> bool:
-        """Make moves on ``state``, however few are left; True if exactly the last one inserts."""
+        """Make moves on ``state``, even beyond its limit; True if exactly the last one inserts."""
         step = joint.step if self.at_once else dynamics.step
         outcome = np.zeros(1, OUTCOME)
         inserted = False

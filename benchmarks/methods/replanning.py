@@ -1,7 +1,7 @@
-"""Planners on a machine that stands elsewhere than their model: plan, look, plan again; or search.
+"""Planners on a machine that stands elsewhere than their model says: they plan again, or search.
 
-Both plan exactly on the nominal model. What they learn on the way are the two things that a machine
-without sensors tells: a move was refused, so that where it led is barred; the peg did not go in.
+Both plan exactly on the nominal model. On the way they learn the two things that a machine without
+sensors shows: a move was refused, so the point it led to is barred; and the peg did not go in.
 """
 
 import time
@@ -51,7 +51,7 @@ class Replanner:
                 return
 
     def _fill(self, episode: Episode, paths: Paths, points: Points, rings: Points) -> bool:
-        """Visit one point after another until a hole is filled; False if none can be reached."""
+        """Visit point after point until a hole is filled; False if no point can be reached."""
         filled, forgot_at = len(episode.insertions), -1
         lattice, barred = paths.lattice, paths.barred
         number = {point: i for i, point in enumerate(points.tolist())}
@@ -60,7 +60,7 @@ class Replanner:
             here = int(search.point_at(lattice, episode.env.state["offset"].astype(np.int64)))
             out = tried.copy()
             out[[number[point] for point in (here, *barred) if point in number]] = True
-            if out.all():  # once more from the beginning, unless that has just led nowhere
+            if out.all():  # start over, unless a whole round has just led nowhere
                 if episode.moves == forgot_at:
                     return False
                 forgot_at = episode.moves

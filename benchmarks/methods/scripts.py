@@ -31,13 +31,13 @@ class Simulator:
         return outcomes
 
     def paid(self, states: NDArray[np.void], actions: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Rewards (n,) of moves made; -inf of those refused, and those that insert or end."""
+        """Reward (n,) of each move; -inf if it is refused, inserts or ends the episode."""
         outcome = self.step(states, actions)
         barred = outcome["violation"] | outcome["inserted"] | outcome["terminated"]
         return np.where(barred, -np.inf, outcome["reward"])
 
     def best_cycle(self, state: NDArray[np.void]) -> tuple[float, int]:
-        """What the best move there and back pays at a state (1,), and that move."""
+        """The largest reward of a move and its reverse at a state (1,), and that move."""
         actions = np.arange(task.N_ACTIONS)
         states = np.repeat(state, task.N_ACTIONS)
         paid = self.paid(states, actions) + self.paid(states, actions ^ 1)

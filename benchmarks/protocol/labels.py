@@ -1,8 +1,7 @@
-"""How methods, ablations and tracks are called in tables and figures, and what a method knows.
+"""Names of methods, ablations and tracks in tables and figures, and what each method knows.
 
-What a method knows beside the observation is its masks and what it remembers of the episode. A
-memory is any dependence of an action on what happened earlier in the episode, be it in the masks,
-the policy or the observation.
+Besides the observation a method may know masks, and have a memory: any dependence of an action on
+what happened earlier in the episode, in the masks, the policy or the observation.
 """
 
 from collections.abc import Mapping
@@ -75,7 +74,7 @@ def track(name: str) -> str:
 
 
 def on_track(name: str, where: str) -> str:
-    """A method's name with its track, unless that is the one that all tables are of."""
+    """A method's name with its track; the main track is left out."""
     return name if where in ("", MAIN_TRACK) else f"{name}, {track(where)}"
 
 

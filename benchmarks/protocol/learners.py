@@ -14,7 +14,7 @@ class Learner:
     where: str  # its class, as ``module:Class``
     colour: int  # its number in the palette of the figures
     masks: bool = False  # it reads action masks
-    discrete: bool = True  # it chooses among actions; else it acts in increments, in contact
+    discrete: bool = True  # it chooses one of n actions; else it sets the contact task's increments
     on_policy: bool = False  # it takes a track's settings ``ppo`` and has no replay buffer
     teams: bool = False  # it can command both robots at once
     cost: float = 1.0  # time of an environment step with its updates, relative to Rainbow's

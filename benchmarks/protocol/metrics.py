@@ -1,4 +1,4 @@
-"""The evaluation metrics: how each follows from the stored rows of test episodes."""
+"""The evaluation metrics, each computed from the stored rows of test episodes."""
 
 import math
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 class Metric:
     """One row of the performance table.
 
-    ``column`` is averaged over the episodes where it is there (an episode without an insertion has
-    no completion time), times ``scale``; ``proportion`` says that it holds 0 and 1 alone.
+    ``column`` is averaged over the episodes that have it (one without an insertion has no
+    completion time) and multiplied by ``scale``; ``proportion``: it holds nothing but 0 and 1.
     """
 
     key: str

@@ -1,8 +1,8 @@
-"""Which cells a preset holds. One cell is one independent run: it trains or plans, then is tested.
+"""The cells of a preset. A cell is one independent run: it trains or plans, then it is tested.
 
-A cell is (method, ablation, geometry, track, seed). Learners and controls have a track; planners
-have none, but on an imperfect machine, and see the same test episodes. The geometric optimization
-is one cell of its own. On public tasks a cell's track is the task, and it has no geometry.
+A cell is (method, ablation, geometry, track, seed). Learners and controls have a track, planners
+only on an imperfect machine; all see the same test episodes. The geometric optimization is one
+cell. On public tasks a cell's track is the task, and it has no geometry.
 """
 
 import math
@@ -136,8 +136,8 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
         BenchmarkError: a method, ablation, geometry or track is unknown or cannot be combined, or
             there is no cell.
     """
-    found = _of_suite(preset) if isinstance(preset, SuitePreset) else _of_groups(preset)
-    cells = dict.fromkeys(found)
+    expanded = _of_suite(preset) if isinstance(preset, SuitePreset) else _of_groups(preset)
+    cells = dict.fromkeys(expanded)
     if not cells:
         raise BenchmarkError(
             f"preset '{preset.name}' holds no run: runs and design are empty, a group lists no "
@@ -159,7 +159,7 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
 
     def order(cell: Cell) -> tuple[int, int]:
         units = -units_but_for_seed(replace(cell, seed=0))
-        # an early stop leaves whole rows of a suite, or else some seeds of every kind
+        # a suite goes seed by seed; else the longest runs come first, equals seed by seed
         return (cell.seed, units) if isinstance(preset, SuitePreset) else (units, cell.seed)
 
     return sorted(cells, key=order)
@@ -197,8 +197,8 @@ def checkpoint_bytes(preset: Preset | SuitePreset, cell: Cell) -> int:
 def settings(preset: Preset | SuitePreset, cell: Cell) -> dict[str, Any]:
     """Everything that decides the cell's result, as plain YAML types: the run's config.yaml.
 
-    What has no bearing on it is left out, and so is a key that came later, at the value that runs
-    from before it had: they still match.
+    What does not decide it is left out. So is a key that was added later, at the value that older
+    runs had: they still match.
     """
     if isinstance(preset, SuitePreset):
         return _of_task(preset, cell)

@@ -71,7 +71,7 @@ def _levels(noise: list[float]) -> list[float]:
 
 
 def _arguments_of(kind: type[Any]) -> AfterValidator:
-    """Whether a class of the environment's takes these arguments, or what it says of them."""
+    """A check that ``kind`` accepts the arguments; an error with its message if it does not."""
 
     def check(given: dict[str, Any] | None) -> dict[str, Any] | None:
         try:
@@ -270,7 +270,7 @@ class Preset(Strict):
 
 @dataclass(frozen=True)
 class Guide(Strict):
-    """Of the contact task: the first steps of off-policy learners are a script's, with noise."""
+    """In the contact task off-policy learners begin with a script's steps and noise on them."""
 
     steps: Count
     noise: Number  # standard deviation, of a whole increment
@@ -286,17 +286,17 @@ class Task(Strict):
     timesteps: Count
     eval_every: Count  # environment steps between two evaluations
     eval_episodes: Count
-    methods: dict[str, Arguments]  # of constructors, and what changes of the guide
+    methods: dict[str, Arguments]  # constructor arguments, and changes of the guide
     arguments: Arguments = field(default_factory=dict)  # of every method
-    skip: Names = field(default_factory=list)  # the preset's methods that mean nothing here
+    skip: Names = field(default_factory=list)  # methods of the preset that do not apply here
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     policy: str = "MlpPolicy"
     n_envs: Count = 1
     goal: Number | None = None  # the mean return at which the task counts as solved
     seeds: Seeds | None = None  # instead of the preset's
-    published: dict[str, Number] = field(default_factory=dict)  # others' means, by whose they are
+    published: dict[str, Number] = field(default_factory=dict)  # published means, by source
     guide: Guide | None = None
-    bare: bool = False  # Rainbow has its present defaults where the settings say nothing
+    bare: bool = False  # Rainbow's present defaults fill in what the settings leave out
 
     def arguments_of(self, method: str) -> dict[str, Any]:
         """A method's constructor arguments."""
@@ -342,12 +342,12 @@ def preset_names() -> list[str]:
 
 
 def own_file(name: str) -> Path | None:
-    """The file whose path a preset's name is; None for one that comes with the package."""
+    """The file that a preset's name points to; None for a preset of the package."""
     return Path(name) if name.endswith((".yaml", ".yml")) else None
 
 
 def load(name: str) -> Preset | SuitePreset:
-    """A preset by name, or by the path of a ``.yaml`` file; BenchmarkError if it will not do."""
+    """A preset by name, or by the path of a ``.yaml`` file; BenchmarkError if it is not valid."""
     own = own_file(name)
     path = own or PRESETS / f"{name}.yaml"
     if own and own.stem in preset_names() and own.resolve().parent != PRESETS.resolve():
@@ -411,14 +411,14 @@ def _mapping(value: object, where: str) -> dict[str, Any]:
 
 
 def _from_library(library: dict[str, Any], name: str) -> dict[str, Any]:
-    """An entry of the library with its own base below it; nothing if there is none."""
+    """An entry of the library, laid over its own base; empty if there is none."""
     own = dict(library.get(name, {}))
     base = own.pop("base", None)
     return merge(_from_library(library, base), own) if base else own
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The mapping that a YAML file holds, without keys ``x-...``, to which others refer."""
+    """The mapping in a YAML file, without its ``x-...`` keys, which only hold anchors."""
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), _OnceLoader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:

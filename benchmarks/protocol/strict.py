@@ -1,4 +1,4 @@
-"""Mappings to frozen dataclasses, strictly, by pydantic: what a file gets wrong is one line."""
+"""Mappings to frozen dataclasses, strictly, by pydantic; each mistake in a file is one line."""
 
 import dataclasses
 import json
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class Strict:
-    """A dataclass that a file is read into: no other key, no value of another type."""
+    """A dataclass read from a file: unknown keys and values of other types are errors."""
 
     __pydantic_config__: ClassVar = ConfigDict(extra="forbid", strict=True)
 
@@ -42,10 +42,10 @@ def build(cls: type[T], data: object, where: str) -> T:
     try:
         return TypeAdapter(cls).validate_json(text)
     except ValidationError as error:
-        raise BenchmarkError(f"{where}{_in_words(error.errors()[0])}") from None
+        raise BenchmarkError(f"{where}{_to_line(error.errors()[0])}") from None
 
 
-def _in_words(error: ErrorDetails) -> str:
+def _to_line(error: ErrorDetails) -> str:
     """``: key: key[0]: what is wrong, found value``; of a mapping, the keys alone."""
     path = "".join(f"[{key}]" if isinstance(key, int) else f": {key}" for key in error["loc"])
     found = "" if isinstance(error["input"], dict) else f", found {error['input']!r}"

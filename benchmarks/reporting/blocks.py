@@ -3,8 +3,8 @@
     <!-- shield:begin (written by: python -m benchmarks study shield) -->
     <!-- shield:end -->
 
-A block is a function from what its first marker says beside the name to its text; the words of the
-marker up to the bracket are its arguments. Pages are the README and ``docs/`` beside the folder
+A block is a function that returns the text; its argument is what the first marker says between the
+name and the bracket. Pages are the README and ``docs/`` beside the folder
 ``results``; a folder of another name has none. `report` and every study fill their blocks, `verify`
 compares.
 """
@@ -20,12 +20,12 @@ from benchmarks.reporting.verify import check_file
 from benchmarks.runs.store import RunFolder, write_text
 
 Block = Callable[[str], str]
-#: by name; one of which the data are missing raises KeyError, and stays as it is
+#: blocks by name; a block whose data are missing raises KeyError and stays as it is
 Blocks = Mapping[str, Block]
 
 
 def pattern(name: str) -> re.Pattern[str]:
-    """Matches each block of that name: its first marker, what the marker says, its second one."""
+    """Matches each block of that name: first marker, the marker's argument, second marker."""
     return re.compile(
         rf"(<!-- {re.escape(name)}:begin ?(.*?) ?-->)\n.*?(<!-- {re.escape(name)}:end -->)",
         re.DOTALL,
@@ -33,7 +33,7 @@ def pattern(name: str) -> re.Pattern[str]:
 
 
 def render(page: str, blocks: Blocks) -> str:
-    """A page with its blocks written afresh; those of which the data are missing stay."""
+    """A page with its blocks written anew; blocks whose data are missing stay."""
     for name, block in blocks.items():
         page = pattern(name).sub(partial(_written, block), page)
     return page
@@ -47,7 +47,7 @@ def _written(block: Block, match: re.Match[str]) -> str:
 
 
 def pages_of(results: Path) -> list[Path]:
-    """The README and the pages of ``docs/`` beside a folder ``results``, of which they tell."""
+    """The README and the pages of ``docs/`` beside a folder ``results``, which they report."""
     folder = results.resolve()
     if folder.name != "results":
         return []
@@ -71,7 +71,7 @@ def rewrite(results: Path, blocks: Blocks) -> list[Path]:
 
 
 def check(results: Path, blocks: Blocks) -> Iterator[tuple[str, list[str]]]:
-    """For each page with such a block: what was looked at, and what differs."""
+    """For each page with such a block: its name, and what differs."""
     for path in pages_of(results):
         text = path.read_text(encoding="utf-8")
         if any(pattern(name).search(text) for name in blocks):
@@ -84,10 +84,10 @@ def check(results: Path, blocks: Blocks) -> Iterator[tuple[str, list[str]]]:
 def include(results: Path) -> Block:
     """The block that holds a Markdown file of ``results/``, named in its marker."""
 
-    def read(said: str) -> str:
-        path = results.joinpath(*Path(said).parts[1:])
-        if not said.startswith("results/") or ".." in said or not path.is_file():
-            raise BenchmarkError(f"{said} is no file of {results}")
+    def read(argument: str) -> str:
+        path = results.joinpath(*Path(argument).parts[1:])
+        if not argument.startswith("results/") or ".." in argument or not path.is_file():
+            raise BenchmarkError(f"{argument} is no file of {results}")
         return path.read_text(encoding="utf-8")
 
     return read
@@ -118,7 +118,7 @@ def _as_markdown(table: re.Match[str]) -> str:
 
 
 def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0, controls: int = 0) -> str:
-    """How many runs, of which so many of controls, how long, at which commit, on which machine."""
+    """The runs behind a page: how many, how many of controls, how long, commit, machine."""
     if not runs:
         return f"Preset `{preset}`: no run is complete."
     metas = [run.meta() for run in runs]

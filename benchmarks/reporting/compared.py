@@ -1,4 +1,4 @@
-"""Comparisons that a sentence rests on: paired over seeds, and corrected within a question."""
+"""The comparisons behind the sentences: paired over seeds, corrected within a question."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from benchmarks.reporting.stats import Value, holm, measured, paired_p
 
 
 class Question(StrEnum):
-    """What comparisons ask; p is corrected over those of the same one."""
+    """What a comparison asks; p is corrected over the comparisons of one question."""
 
     CONTROL = "Best script"
     MASKED = "Other learners"
@@ -39,14 +39,14 @@ class Comparison:
 
     @property
     def name(self) -> str:
-        """What is compared, in words: without which component, or on which geometry."""
+        """Our method, or its removed component; with the geometry if not the optimized one."""
         ours, name = self.ours, self.ours.name
         if ours.ablation not in labels.ALL_OR_NONE:
             name = labels.on_track(labels.ABLATIONS[ours.ablation], ours.track)
         return name if ours.geometry == "optimized" else f"{name}, {ours.geometry} geometry"
 
 
-@lru_cache(maxsize=1)  # tables and sentences ask for the same ones in turn
+@lru_cache(maxsize=1)  # tables and sentences ask for the same ones
 def comparisons(results: Results) -> list[Comparison]:
     """All comparisons of a store, each p corrected by Holm over those of its question."""
     asked: dict[str, list[tuple[Group, Group, list[float]]]] = {}
@@ -58,7 +58,7 @@ def comparisons(results: Results) -> list[Comparison]:
         tests = [paired_p(points) for _, _, points in pairs]
         for (ours, theirs, points), p, p_holm in zip(pairs, tests, holm(tests), strict=True):
             value = measured(points)
-            # Student's interval of a few seeds reaches beyond what is possible
+            # Student's interval over few seeds may reach beyond what is possible
             value = replace(value, low=max(value.low, -100.0), high=min(value.high, 100.0))
             result.append(Comparison(question, ours, theirs, value, p, p_holm))
     return result

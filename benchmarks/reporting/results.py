@@ -45,7 +45,7 @@ AS_TRAINED: Final = Level(acting=EXPLORING)
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One run that was tested; the columns that its files ``need``."""
+    """One tested run. ``need``: the columns that its files must have."""
 
     need: ClassVar[dict[str, tuple[str, ...]]] = {
         "episodes": ("episode", "reset_seed", "start", "noise", "success"),
@@ -69,7 +69,7 @@ class Result:
 
     @cached_property
     def training(self) -> dict[str, Any]:
-        """What meta.json says of the training; empty of what does not learn."""
+        """What meta.json says of the training; empty for a method that does not learn."""
         return dict(self.folder.meta()["training"])
 
     @cached_property
@@ -101,7 +101,7 @@ class Result:
         return result
 
 
-@lru_cache(maxsize=10_000)  # problems, tables, figures and pages ask for the same runs in turn
+@lru_cache(maxsize=10_000)  # problems, tables, figures and pages ask for the same runs
 def _read(kind: type[Result], path: Path, versions: tuple[object, ...]) -> Result:
     folder = RunFolder(path)
     folder.meta()
@@ -142,12 +142,12 @@ class Group:
 
     @property
     def lead(self) -> str:
-        """What stands behind a value of so few seeds that it is a lead and no finding."""
+        """A remark behind a value that rests on too few seeds: it is a lead, no finding."""
         return f" ({self.n} seed{'s' * (self.n > 1)})" if 0 < self.n < SEEDS else ""
 
     @property
     def known(self) -> bool:
-        """Whether there are runs, or are to be some."""
+        """Whether it has runs, or the preset plans some."""
         return bool(self.n or self.planned)
 
     @property
@@ -175,7 +175,7 @@ class Group:
 
     @property
     def acting_name(self) -> str:
-        """The name, and of a script that makes random moves this."""
+        """The name; for a script with random moves the way of acting too."""
         explores = self.level == AS_TRAINED and self.method in CONTROLS
         return f"{self.name}, {self.acting}" if explores else self.name
 
@@ -184,12 +184,12 @@ class Group:
         return replace(self, level=level)
 
     def as_trained(self) -> Group:
-        """The same runs as their method explores, where they were tested so; else themselves."""
+        """The same runs, acting as they explore, if they were tested so; else unchanged."""
         other = self.at(AS_TRAINED)
         return other if other.success().n else self
 
     def both(self) -> list[Group]:
-        """The runs greedily, and as trained if they were tested so."""
+        """The runs acting greedily, and as trained if they were tested so."""
         trained = self.as_trained()
         return [self, trained] if trained != self else [self]
 
@@ -226,7 +226,7 @@ class Group:
         return replace(value, low=1000.0 * low, high=1000.0 * high)
 
     def steps_to_75(self) -> Value:
-        """Training steps to 75 % success, 1e5, over the seeds that came there."""
+        """Training steps to 75 % success, in 1e5, over the seeds that reached it."""
         steps = [run.training.get("steps_to_75") for run in self.runs]
         return measured([math.nan if x is None else 1e-5 * float(x) for x in steps])
 
@@ -287,7 +287,7 @@ class Results:
             mine = runs.setdefault(key, [])
             mine.append(run)
             mine[0].folder.check_alike(folder.id, run.config)
-            if "track" in run.config:  # what was run counts, not what the preset says today
+            if "track" in run.config:  # the run's own settings count, not the preset's of today
                 self.settings[cell["track"]] = run.config["track"]
         runs |= {key: [] for key in planned if key not in runs}
         self.groups = {
@@ -334,7 +334,7 @@ class Results:
             in_turn = [method for method in among if method != OPTIMUM_AT_ONCE]
             result += [self.group(method, "", geometry) for method in in_turn]
         result = [row for row in result if row.known]
-        if uncertain:  # a method on all tracks of the machine together, the ceiling last
+        if uncertain:  # by method over all tracks of the machine, the ceiling last
             result.sort(key=lambda row: (row.method == "optimum", METHODS.index(row.method)))
         return result
 
@@ -354,12 +354,12 @@ class Results:
         return best(each.as_trained() if row.level == AS_TRAINED else each for each in alike)
 
     def best_script(self, row: Group) -> Group | None:
-        """The best that neither learns nor knows the uncertain machine of a row, or None."""
+        """The best control or planner that does not know the row's uncertain machine, or None."""
         scripts = [m for m in METHODS if m not in LEARNERS and m != "optimum"]
         return best(_alike(row, self.rows(scripts, uncertain=True)))
 
     def references(self, track: str) -> list[Group]:
-        """What bounds a track's learners: the best control that knows as much, and the optimum."""
+        """Bounds of a track's learners: the best control that knows as much, and the optimum."""
         row = self.group("rainbow", track)
         control = self.control_of(row.as_trained())
         optima = [self.group("optimum")]
@@ -376,25 +376,25 @@ def in_order(tracks: Iterable[str]) -> list[str]:
 
 
 def complete(result: Iterable[Group]) -> list[Group]:
-    """Those of which there are runs."""
+    """The groups that have runs."""
     return [row for row in result if row.n]
 
 
 def best(result: Iterable[Group]) -> Group | None:
-    """The complete one with the highest success rate, then with the most holes."""
+    """The group with runs whose success rate is highest; of equals the one with most holes."""
     return max(
         complete(result), key=lambda row: (row.success().mean, row.value(HOLES).mean), default=None
     )
 
 
 def _world(row: Group) -> list[Any]:
-    """What decides a track's task besides its masks: the end of episodes, the machine, the dome."""
+    """What decides a track's task besides masks: the end of episodes, the machine, the dome."""
     defaults = {"collision": "refuse", "sim_to_real": None, "task": None, "shield": None}
     return [(row.settings or {}).get(name, default) for name, default in defaults.items()]
 
 
 def _alike(row: Group, among: Iterable[Group]) -> list[Group]:
-    """Those that have a row's task."""
+    """The groups with the same task as a row."""
     return [each for each in among if _world(each) == _world(row)]
 
 

@@ -11,7 +11,7 @@ from benchmarks.reporting.verdicts import sentences
 
 PAPER: Final = ("Performance", "Ablation", "Geometry", "As printed")  # docs/results.md
 SHORT: Final = ("in_short", "performance", "components", "geometry", "printed")  # README's
-# of the page of science: heading, sentences, tables, figures with what they show
+# sections of the page: heading, sentences, tables, figures with their captions
 SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str]], ...]] = (
     ("Performance", ("performance",), ("performance", "controls"),
      {"performance_profile": "Share of test episodes above a score, all acting greedily"}),
@@ -25,7 +25,7 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
 
 
 def short(results: Results) -> str:
-    """What README shows: one word, four verdicts, a table of six rows, how much has been run."""
+    """README's block: one word, four verdicts, a table of six rows, how many runs are complete."""
     report = sentences(results)
     parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]
     done = len(results.all())

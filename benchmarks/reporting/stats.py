@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 class Value:
     """A measured number: mean over ``n`` seeds, sample standard deviation, and an interval.
 
-    NaN stands for what cannot be given: ``mean`` of nothing, ``std`` of one seed.
+    NaN stands for what does not exist: the mean of nothing, the deviation of one seed.
     """
 
     mean: float
@@ -71,7 +71,7 @@ def interquartile_mean(*tasks: Array, axis: int = -1) -> Any:
 
 
 def improvement(*tasks: Array, axis: int = -1) -> Any:
-    """How likely a run of ours is better than one of theirs, on a task drawn at random.
+    """Probability that a run of ours is better than one of theirs, on a task drawn at random.
 
     Mean over tasks of P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021, section 4.3). ``tasks`` are
     scores of ours, an array for each task, then those of theirs; runs lie along the last axis.

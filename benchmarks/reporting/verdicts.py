@@ -1,7 +1,7 @@
 """Does the paper reproduce? Sentences that can fail, from stored runs and the thresholds below.
 
-Each is a paragraph that the README shows, and one of details. What has no runs is left out; what
-rests on fewer than three seeds, or on fewer steps than the paper trains, gives no verdict.
+Each has a paragraph for the README, and one of details. A claim without runs is left out. A claim
+on fewer than three seeds, or fewer steps than the paper's, gets no verdict.
 """
 
 import math
@@ -29,17 +29,17 @@ YES, IN_PART, NO = "Yes", "In part", "No"
 
 
 class Verdict(NamedTuple):
-    """Whether a claim of the paper holds, empty where that is open, and the words."""
+    """Whether a claim of the paper holds, empty where that is open, and the text."""
 
     holds: str
-    words: str
+    text: str
 
 
 NOTHING: Final = Verdict("", "")
 
 
 def sentences(results: Results) -> dict[str, str]:
-    """Sentences by what they speak of; only those whose runs are there."""
+    """The sentences by topic; topics without runs are left out."""
     compared = comparisons(results)
     claims = {
         "performance": performance(results, compared),
@@ -48,7 +48,7 @@ def sentences(results: Results) -> dict[str, str]:
     }
     report = {
         "in_short": in_short([claim.holds for claim in claims.values()]),
-        **{topic: claim.words for topic, claim in claims.items()},
+        **{topic: claim.text for topic, claim in claims.items()},
         "printed": printed(results),
     }
     return {topic: sentence for topic, sentence in report.items() if sentence}
@@ -65,7 +65,7 @@ def in_short(claims: Sequence[str]) -> str:
 def outcome(comparison: Comparison) -> str:
     """Whether ours is better, worse, or neither at the level of significance."""
     difference = comparison.difference
-    # no t where all seeds differ by as much: then there is no doubt either
+    # all seeds differ by the same: there is no t, and no doubt
     alike = difference.n >= SEEDS and difference.low == difference.high != 0.0
     if not (comparison.p_holm < SIGNIFICANCE or alike):
         return SAME
@@ -73,7 +73,7 @@ def outcome(comparison: Comparison) -> str:
 
 
 def as_well(comparison: Comparison) -> str:
-    """Whether theirs does better, or as well, which takes more than a lack of significance."""
+    """Whether theirs does better, or as well; the latter takes more than lack of significance."""
     if outcome(comparison) == WORSE:
         return "succeeds more often than Rainbow"
     difference = comparison.difference
@@ -82,7 +82,7 @@ def as_well(comparison: Comparison) -> str:
 
 
 def ground(row: Group) -> str:
-    """Why no verdict can rest on a row's runs; empty if one can."""
+    """Why a row's runs allow no verdict; empty if they do."""
     steps = min((int(run.config["track"]["timesteps"]) for run in row.runs), default=0)
     if steps < TRAINING_STEPS:
         return f"{steps:,} of the paper's {TRAINING_STEPS:,} steps"
@@ -90,12 +90,12 @@ def ground(row: Group) -> str:
 
 
 def few(row: Group) -> str:
-    """How few seeds a row has; empty if they are enough."""
+    """A remark on too few seeds; empty if there are enough."""
     return "" if row.n >= SEEDS else f"{row.n} of {row.planned or SEEDS} seeds"
 
 
 def in_common(comparison: Comparison) -> str:
-    """How few seeds two have in common; empty if they are enough."""
+    """A remark on too few common seeds; empty if there are enough."""
     n = comparison.difference.n
     return "" if n >= SEEDS else f"{n} seed{'s' * (n != 1)} in common"
 
@@ -110,23 +110,23 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     rivals = [c for c in compared if (c.question, c.ours) == (Question.MASKED, ours)]
     others = [(c.theirs.title, c.theirs) for c in rivals]
     paper = PERFORMANCE["success"]["rainbow"]
-    said = f"Rainbow succeeds in {_rate(ours)} of the test episodes (paper {paper} %)"
-    said += f", the best script in {_rate(script.theirs)}." if script else "."
+    text = f"Rainbow succeeds in {_rate(ours)} of the test episodes (paper {paper} %)"
+    text += f", the best script in {_rate(script.theirs)}." if script else "."
     for rival in rivals:
         if ground(rival.theirs):
             continue
         if as_good := as_well(rival):
             holes, mine = (row.value(HOLES).mean for row in (rival.theirs, ours))
-            said += f" {rival.theirs.title} {as_good} (holes per episode {holes:.2f}, Rainbow "
-            said += f"{mine:.2f}){_but_greedily(rival, compared)}."
+            text += f" {rival.theirs.title} {as_good} (holes per episode {holes:.2f}, Rainbow "
+            text += f"{mine:.2f}){_but_greedily(rival, compared)}."
         elif outcome(rival) == SAME:
             above = _above(rival.difference)
             corrected = "after the correction for all learners " * (rival.p < SIGNIFICANCE)
-            said += f" Rainbow is {above} {rival.theirs.title}, which {corrected}may be chance"
-            said += f"{_but_greedily(rival, compared)}."
+            text += f" Rainbow is {above} {rival.theirs.title}, which {corrected}may be chance"
+            text += f"{_but_greedily(rival, compared)}."
     if there := on_track(results, "terminal"):
-        said += f" Where a collision ends the episode, {there}."
-    said += under_noise(results, greedy)
+        text += f" Where a collision ends the episode, {there}."
+    text += under_noise(results, greedy)
     details = []
     if (optimum := results.group("optimum")).n:
         details.append(
@@ -152,11 +152,11 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
         (holds, verdict), so_far = Verdict("", "No verdict yet on the success rate"), f" ({why})"
     else:
         (holds, verdict), so_far = _on_success(ours, script), _so_far(ours)
-    return Verdict(holds, _paragraphs(f"**{verdict}{so_far}.** {said}", details))
+    return Verdict(holds, _paragraphs(f"**{verdict}{so_far}.** {text}", details))
 
 
 def _but_greedily(rival: Comparison, compared: list[Comparison]) -> str:
-    """How far apart two are greedily that are not as trained; empty where they are not either."""
+    """The greedy difference of two, if its outcome is not that as trained; empty otherwise."""
     for c in compared:
         same = (c.theirs.method, c.theirs.ablation) == (rival.theirs.method, rival.theirs.ablation)
         if c.question == Question.MASKED and same and outcome(c) != outcome(rival):
@@ -165,8 +165,8 @@ def _but_greedily(rival: Comparison, compared: list[Comparison]) -> str:
 
 
 def under_noise(results: Results, greedy: Group) -> str:
-    """Ours and the best script where noise on the observation, in place of random moves, helps it
-    most; empty where nothing was tested so.
+    """Ours and the best script under the observation noise that suits the script most, in place of
+    random moves; empty where nothing was tested so.
     """
     chosen = best_under_noise(results, greedy.track)
     if chosen is None:
@@ -209,36 +209,36 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
     )
     if not together and len(singles) < wanted:
         return NOTHING
-    said, why = [], ground(full)
+    paragraph, why = [], ground(full)
     if together:
-        said.append(
+        paragraph.append(
             f"Rainbow's success rate is {_above(together.difference)} that of masked DQN, "
             "which lacks them."
         )
         if change := _in_training(together):
-            said.append(f"In training, in which the weights go on changing, it is {change}.")
+            paragraph.append(f"In training, in which the weights go on changing, it is {change}.")
         theirs = ground(together.theirs) or in_common(together)
         why = why or (theirs and f"masked DQN: {theirs}")
     costs, greedily = ([c for c in each if outcome(c) == WORSE] for each in (singles, greedily))
     alone = [c for c in singles if c.difference.high < 0.0 and c not in costs]
     pays = together is not None and outcome(together) == BETTER
     if len(singles) < wanted:
-        said.append(
+        paragraph.append(
             f"Of {wanted} removals of one component, {len(singles)} have {SEEDS} seeds so far."
         )
     else:
         fewest = min(c.difference.n for c in singles)
         more = "" if all(c.difference.n == fewest for c in singles) else " or more"
         beyond = f"success beyond chance after the correction for {wanted} tests"
-        found = f"these cost {beyond}: {_listed(costs)}" if costs else f"none costs {beyond}"
-        said.append(
-            f"Of {wanted} removals of one component, each on {fewest} seeds{more}, {found}."
+        costly = f"these cost {beyond}: {_listed(costs)}" if costs else f"none costs {beyond}"
+        paragraph.append(
+            f"Of {wanted} removals of one component, each on {fewest} seeds{more}, {costly}."
         )
         if alone:
             also = " as well" if costs else ""
-            said.append(f"Uncorrected, these do{also}: {_listed(alone)}.")
+            paragraph.append(f"Uncorrected, these do{also}: {_listed(alone)}.")
         if greedily:
-            said.append(f"Greedily, these do after the correction: {_listed(greedily)}.")
+            paragraph.append(f"Greedily, these do after the correction: {_listed(greedily)}.")
     if why:
         holds, verdict = "", f"No verdict yet on the components ({why})"
     elif len(singles) < wanted:
@@ -252,7 +252,7 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         holds, verdict = NO, "Rainbow's six components help together, none is shown to alone"
     else:
         holds, verdict = NO, "The ablation of the six components does not reproduce"
-    return Verdict(holds, " ".join([f"**{verdict}.**", *said]))
+    return Verdict(holds, " ".join([f"**{verdict}.**", *paragraph]))
 
 
 def _in_training(comparison: Comparison) -> str:
@@ -310,7 +310,7 @@ def geometry(results: Results, compared: list[Comparison]) -> Verdict:
             holds, verdict = YES, "The gain from optimizing the 3-RRS reproduces"
         else:
             holds, verdict = IN_PART, "The gain from optimizing the 3-RRS reproduces in part"
-    said = f"**{verdict}{so_far}.** Rainbow's {report[0]}."
+    text = f"**{verdict}{so_far}.** Rainbow's {report[0]}."
     details = [f"Its {'; its '.join(report[1:])}."]
     scripts = [results.control_of(row, row.geometry) for row in pair]
     if all(scripts):
@@ -319,7 +319,7 @@ def geometry(results: Results, compared: list[Comparison]) -> Verdict:
             f"The success rate of the best script {_verb(low, high)} from {_show(low)} to "
             f"{_show(high)} %."
         )
-    return Verdict(holds, _paragraphs(said, details))
+    return Verdict(holds, _paragraphs(text, details))
 
 
 def printed(results: Results) -> str:
@@ -347,7 +347,7 @@ def on_track(results: Results, track: str) -> str:
 
 
 def _steps(row: Group) -> Value:
-    """Training steps to 75 % success, 1e5, over seeds; infinite if one never came there."""
+    """Training steps to 75 % success, in 1e5, over seeds; infinite if one never reached it."""
     value = row.steps_to_75()
     return value if value.n == row.n else Value(math.inf, n=row.n)
 
@@ -360,10 +360,10 @@ def _verb(before: Value, after: Value) -> str:
 
 def _above(change: Value) -> str:
     """``25.0 points [16.6, 33.4] above``, or below."""
-    word = "above" if change.mean >= 0.0 else "below"
-    if word == "below":
+    direction = "above" if change.mean >= 0.0 else "below"
+    if direction == "below":
         change = Value(-change.mean, change.std, change.n, -change.high, -change.low)
-    return f"{change.signed(' points').removeprefix('+')} {word}"
+    return f"{change.signed(' points').removeprefix('+')} {direction}"
 
 
 def _so_far(*rows: Group) -> str:
@@ -371,8 +371,8 @@ def _so_far(*rows: Group) -> str:
     return f" ({row.n} of {row.planned} seeds so far)" if row.n < row.planned else ""
 
 
-def _paragraphs(said: str, details: Sequence[str]) -> str:
-    return "\n\n".join(filter(None, [said, " ".join(details)]))
+def _paragraphs(text: str, details: Sequence[str]) -> str:
+    return "\n\n".join(filter(None, [text, " ".join(details)]))
 
 
 def _rate(row: Group) -> str:

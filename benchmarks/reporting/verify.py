@@ -1,7 +1,7 @@
 """Check that stored runs are what their settings say, and that tables follow from them.
 
-Every number is made again from the rows of the runs and compared as text; nothing is trained. The
-studies check their own data with what is here.
+Every number is computed again from the rows of the runs and compared as text; nothing is trained.
+The studies use the same functions on their own data.
 """
 
 from collections.abc import Iterable
@@ -22,7 +22,7 @@ TABLE_FILES: Final = (".csv", ".md", ".tex")
 
 
 def check_tables(folder: Path, tables: Iterable[Table]) -> list[str]:
-    """Whether ``folder`` holds these tables in all their forms, and no other."""
+    """Differences between ``folder`` and these tables in all their forms."""
     wanted = {path: text for table in tables for path, text in table.files(folder).items()}
     problems = []
     for path, text in wanted.items():
@@ -48,7 +48,7 @@ def check_runs(store: Store) -> list[str]:
             problems.append(str(error))
         except (KeyError, TypeError) as error:
             problems.append(f"{run.path}: config.yaml or meta.json lacks {error}")
-        except (AttributeError, ValueError) as error:  # a word for a number, or for a mapping
+        except (AttributeError, ValueError) as error:  # text in place of a number or of a mapping
             problems.append(f"{run.path}: a value of its files is no value ({error})")
     return problems
 
@@ -62,7 +62,7 @@ def _check_run(run: RunFolder, starts: dict[tuple[object, ...], str]) -> list[st
         run.rows("design")
         return []
     result = Result.read(run)
-    if cell.learns and "entry" not in config:  # whatever name it goes by
+    if cell.learns and "entry" not in config:  # whatever its method is called
         _ = result.curve  # an error if it is missing
     problems = [*check_meta(run), *_check_episodes(result, cell, starts)]
     if run.policy.is_file() and run.policy_digest() != meta["training"].get("policy_sha256"):
@@ -71,13 +71,13 @@ def _check_run(run: RunFolder, starts: dict[tuple[object, ...], str]) -> list[st
 
 
 def check_meta(run: RunFolder) -> list[str]:
-    """Whether meta.json has what pages and `plan` tell of a run."""
+    """Whether meta.json has what pages and `plan` need."""
     _ = run.seconds(), run.seconds("cpu")  # an error if one is missing
     return [f"meta.json lacks '{k}'" for k in ("commit", "dirty", "machine") if k not in run.meta()]
 
 
 def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...], str]) -> list[str]:
-    """Whether each level holds the test episodes of the seed, and none of the levels is missing."""
+    """Whether each level holds the seed's test episodes, and no level is missing."""
     problems = []
     evaluation, rows = result.config["evaluation"], result.episodes
     stream = evaluation.get("stream", "test")
@@ -111,7 +111,7 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
 
 
 def check_seeds(rows: pd.DataFrame, column: str, seeds: list[int], where: str = "") -> list[str]:
-    """Whether the rows of episodes.csv are those of the test episodes, by number and by seed."""
+    """Whether the rows of episodes.csv have the test episodes' numbers and seeds."""
     if rows["episode"].tolist() != list(range(len(seeds))):
         return [
             f"episodes.csv has {len(rows)} rows{where}, not one for each of the {len(seeds)} test "
@@ -122,7 +122,7 @@ def check_seeds(rows: pd.DataFrame, column: str, seeds: list[int], where: str = 
 
 
 def _levels(result: Result, cell: Cell) -> tuple[str, list[float]]:
-    """A column of the episodes, and the levels that it must hold."""
+    """A column of the episodes, and the levels that must be in it."""
     evaluation = result.config["evaluation"]
     if result.error:
         return "error", evaluation["errors"]

@@ -1,7 +1,7 @@
 """Where a run's process lives: a child of the harness here, or a worker of a cluster.
 
-A backend starts ``python -m benchmarks <argv>``; what the process does is the same everywhere, and
-it speaks to the harness through the run's folder alone.
+A backend starts ``python -m benchmarks <argv>``. The process does the same everywhere, and reports
+to the harness only through the run's folder.
 """
 
 import os
@@ -17,7 +17,7 @@ from benchmarks.runs.store import RunFolder
 
 BACKENDS: Final = ("local", "ray")
 PINNED: Final = {
-    # one thread per process: as many processes as cores do not fight for them
+    # one thread per process, so that as many processes as cores do not compete
     **dict.fromkeys(
         ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
     ),
@@ -34,15 +34,15 @@ class Job:
         self.log, self.process = log, spawn(argv, log)
 
     def poll(self) -> int | None:
-        """The process's exit code, None while it runs or waits for its turn."""
+        """The process's exit code; None while it runs or waits."""
         return self.process.poll()
 
     def place(self) -> str | None:
-        """Where it runs, in a word or none at all; None while it waits for its turn."""
+        """Where it runs (empty: here); None while it waits."""
         return ""
 
     def news(self) -> list[str]:
-        """What has happened to it since the last call, one sentence each."""
+        """Events since the last call, a sentence each."""
         return []
 
     def stop(self) -> None:
@@ -50,7 +50,7 @@ class Job:
         self.process.send_signal(signal.SIGTERM)
 
     def wait(self, seconds: float) -> None:
-        """Wait for its end, and kill it when the time is over."""
+        """Wait at most ``seconds`` for its end; kill it if it still runs then."""
         try:
             self.process.wait(max(0.1, seconds))
         except subprocess.TimeoutExpired:
@@ -65,7 +65,7 @@ class Backend:
         self.slots = default_jobs() if jobs is None else jobs  # runs under way at a time
 
     def describe(self) -> str:
-        """What runs are given, in a sentence."""
+        """What each run gets, in a sentence."""
         return f"{self.slots} processes of one thread on {os.cpu_count()} cores"
 
     def start(self, argv: Sequence[str], folder: RunFolder) -> Job:
@@ -73,13 +73,13 @@ class Backend:
         return Job(argv, folder.log)
 
     def close(self) -> None:
-        """Let go of what the backend holds."""
+        """Release what the backend holds."""
 
 
 def spawn(argv: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     """Start a run's process: pinned to one thread, its output in ``log``."""
     log.parent.mkdir(parents=True, exist_ok=True)
-    # an install brings no benchmarks, and a node of a cluster starts in another folder
+    # benchmarks is not installed, and a cluster's node starts in another folder
     found_in = os.pathsep.join(filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH")]))
     with log.open("ab") as stream:
         # a session of its own: Ctrl-C reaches the harness alone, which then asks politely

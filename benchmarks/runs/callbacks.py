@@ -1,4 +1,4 @@
-"""What watches a training run: curriculum, the paper's curves, and the progress others see."""
+"""Callbacks of a training run: the curriculum and the recorder of the paper's curves."""
 
 import math
 from abc import abstractmethod
@@ -26,8 +26,8 @@ def ended(step: dict[str, Any], rows: int) -> list[dict[str, Any]]:
 class CurriculumCallback(BaseCallback):
     """Switches from four holes to six when the mean success of recent episodes is high enough.
 
-    Each environment takes the new stage at its next reset. ``rows`` of the batch are of each: one,
-    or one for each agent.
+    Each environment takes the new stage at its next reset. ``rows``: the batch's rows per
+    environment, one or one for each agent.
     """
 
     def __init__(self, settings: Curriculum, rows: int = 1) -> None:
@@ -60,8 +60,8 @@ class CurriculumCallback(BaseCallback):
 class Recorder(BaseCallback, Stateful):
     """Keeps the rows of a run's curve, and goes on from a checkpoint.
 
-    ``note`` is a word on how the training goes, ``finish`` adds the last row, of the trained model,
-    and ``summary`` is what meta.json says of the training.
+    ``note`` returns a short text on the training's progress, ``finish`` adds the last row, of the
+    trained model, and ``summary`` returns what meta.json says of the training.
     """
 
     def __init__(self) -> None:

@@ -18,11 +18,11 @@ from benchmarks.runs.store import RunFolder, Store, digest
 
 
 class Stopped(Exception):
-    """Asked to end by a cell that has no checkpoint: what it did is soon done again."""
+    """A cell without checkpoints was asked to end; its work is quickly repeated."""
 
 
 class ProgressReporter:
-    """Tells the harness how far a cell is; raises :class:`Stopped` when asked to end."""
+    """Reports a cell's progress to the harness; raises :class:`Stopped` when asked to end."""
 
     def __init__(self, folder: RunFolder, stop_requested: StopRequested) -> None:
         self.folder, self.stop_requested = folder, stop_requested
@@ -67,10 +67,10 @@ def run_once(
     if folder.is_complete():
         return True
     with folder.lock(wait):
-        if folder.is_complete():  # by the process that was waited for
+        if folder.is_complete():  # the process that held it has completed it
             return True
         folder.begin(config)
-        begun = folder.config()  # of which a learner's constructor changes nothing
+        begun = folder.config()  # as begun: a learner's constructor cannot change it
         made_by = machine.describe()  # now: the sources may change while the run is on
         began = time.perf_counter(), time.process_time()
         try:
@@ -86,7 +86,7 @@ def run_once(
             wall = max(wall, training["wall_seconds"] + training.get("test_seconds", 0.0))
             cpu = max(cpu, training["cpu_seconds"])
         spent = {"wall_seconds": wall, "cpu_seconds": cpu}
-        folder.begin(begun)  # anew, where somebody has deleted the folder meanwhile
+        folder.begin(begun)  # again, as somebody may have deleted the folder meanwhile
         folder.write_meta({"cell": folder.id, "preset": name, **spent, **record, **made_by})
         folder.drop_checkpoint()
         return True
@@ -120,8 +120,8 @@ def run_here(
 ) -> int:  # fmt: skip
     """Run one cell in this process and say how it ended; returns the command's exit code.
 
-    ``admitted`` is the :func:`~benchmarks.runs.store.digest` of the settings that the harness has
-    looked at.
+    ``admitted`` is the :func:`~benchmarks.runs.store.digest` of the settings that the harness
+    checked.
     """
     caught: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -25,8 +25,8 @@ from sb3_rainbow.resume.checkpoint import get_rng_state, set_rng_state
 Model = TypeVar("Model", bound=BaseAlgorithm)
 
 PREFIX: Final = "step-"
-FULL_BYTES: Final = 1_000_000  # free room below which a failed write is put down to the disk
-# of a network's storage, or of a machine that has too much to do
+FULL_BYTES: Final = 1_000_000  # less free room than this explains a failed write
+# errors of a network's storage, or of an overloaded machine
 PASSING: Final = (
     *(errno.ESTALE, errno.EIO, errno.ETIMEDOUT, errno.EAGAIN, errno.EACCES),
     *(errno.ENOMEM, errno.EMFILE, errno.ENFILE),
@@ -34,7 +34,7 @@ PASSING: Final = (
 
 
 class Stateful(Protocol):
-    """A part of a run beside its model; a state of None says that its episodes begin anew."""
+    """A part of a run beside its model; a state of None means that its episodes begin anew."""
 
     @abstractmethod
     def get_state(self) -> Any: ...
@@ -44,13 +44,13 @@ class Stateful(Protocol):
 
 
 class RunCallback(BaseCallback):
-    """Saves checkpoints, tells the harness how far the run is, and stops it when asked.
+    """Saves checkpoints, reports progress to the harness, and stops the run when asked.
 
     Args:
         kept: what is saved with the model, by name; put back in this order.
         seconds: wall-clock time between two checkpoints.
         timesteps: the run's length.
-        note: a word on how the training goes.
+        note: returns a short text on the training's progress.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class RunCallback(BaseCallback):
         return not self.stopped
 
     def history(self) -> dict[str, Any]:
-        """Wall and CPU seconds over all processes of the run, and how they followed each other."""
+        """Wall and CPU seconds over all processes of the run, and the steps where it resumed."""
         return {
             **self._past,
             "wall_seconds": self._past["wall_seconds"] + time.perf_counter() - self._began[0],
@@ -185,7 +185,7 @@ def _is_full(root: Path, error: Exception) -> bool:
 
 
 def _is_passing(error: Exception) -> bool:
-    """Whether it speaks of the machine's state and not of the file."""
+    """Whether an error is due to the machine's state and not to the file."""
     if isinstance(error, OSError):
         return error.errno in PASSING
     return isinstance(error, (MemoryError, torch.OutOfMemoryError))
@@ -217,7 +217,7 @@ def load_newest(
                     f"{path} cannot be read now ({type(error).__name__}: {error}); it is kept, the "
                     "same command tries again"
                 ) from error
-            # whatever a damaged file makes of the loaders, the run must go on
+            # whatever a loader raises on a damaged file, the run must go on
             aside = path.with_name(f"{BROKEN}{path.name}")
             shutil.rmtree(aside, ignore_errors=True)
             path.rename(aside)

@@ -1,4 +1,4 @@
-"""What runs cost: seconds per unit of work, as measured in the stored runs, and what is left."""
+"""Costs of runs: seconds per unit of work, as measured in the stored runs, and what is left."""
 
 import heapq
 from collections.abc import Iterable, Sequence
@@ -58,7 +58,7 @@ class Cost:
 
 
 def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) -> list[Cost]:
-    """Each cell's state and cost; ``others`` are asked where the store has no run of the kind."""
+    """Each cell's state and cost; ``others`` are used where the store has no run of the kind."""
     own = measure(experiment, [store])
     elsewhere = cache(lambda: measure(experiment, others))
     result = []

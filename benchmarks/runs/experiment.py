@@ -1,4 +1,4 @@
-"""An experiment: what the harness has to know of cells to run them, whatever they compute.
+"""An experiment: what the harness must know of cells to run them, whatever they compute.
 
 One cell is one independent run with a folder of its own. The harness starts each in a process
 (``benchmarks.runs.harness``), which opens the experiment again by its recipe.
@@ -25,9 +25,9 @@ P = TypeVar("P", Preset, SuitePreset)
 
 
 class Experiment(ABC, Generic[P]):
-    """Cells of a preset, what they cost, how one is run, and what is made of them all.
+    """Cells of a preset: their costs, how one is run, and the tables and figures of all.
 
-    Its store lies in the folder ``place`` below that of all results.
+    Its store lies in the folder ``place`` below the results folder.
 
     Args:
         preset: the preset, or its name or its file's path, by which another process loads it.
@@ -78,7 +78,7 @@ class Experiment(ABC, Generic[P]):
                     self.try_script(cell)
             except BenchmarkError:
                 raise
-            except Exception as error:  # whatever a constructor makes of what it was given
+            except Exception as error:  # a constructor may raise anything for wrong arguments
                 how = f"{type(error).__name__}: {error}"
                 raise BenchmarkError(
                     f"preset '{self.name}': cell {cell.id} cannot be built: {how}"
@@ -90,10 +90,10 @@ class Experiment(ABC, Generic[P]):
 
     @abstractmethod
     def kind(self, config: dict[str, Any]) -> tuple[str, ...]:
-        """What decides a run's cost per unit, the weightiest first."""
+        """What decides a run's cost per unit, the most important first."""
 
     def checkpoint_bytes(self, cell: Cell) -> int:
-        """Size of one checkpoint, generously."""
+        """Upper estimate of a checkpoint's size, bytes."""
         return plan.checkpoint_bytes(self.preset, cell)
 
     @abstractmethod
@@ -102,7 +102,8 @@ class Experiment(ABC, Generic[P]):
     ) -> dict[str, Any] | None:
         """Do the cell's work and write its rows into its folder, which was begun.
 
-        ``stop_requested`` is asked now and then: True saves what can be saved and ends the call.
+        ``stop_requested`` is called now and then; if True, what can be saved is saved and the call
+        ends.
         Networks live on ``device``, cpu or cuda.
 
         Returns:
@@ -110,7 +111,7 @@ class Experiment(ABC, Generic[P]):
         """
 
     def verdict(self, folder: RunFolder) -> str:
-        """What came of a complete run, for its line on the console."""
+        """The result of a complete run, for its line on the console."""
         return ""
 
     def tables(self, store: Store) -> Sequence[Any]:
@@ -146,7 +147,7 @@ class Experiment(ABC, Generic[P]):
             console.print("Figures: none")
 
     def report(self, store: Store, console: Console) -> None:
-        """Everything that is made of the complete runs."""
+        """Write the tables and figures of the complete runs."""
         self.write_tables(store, console)
         self.write_figures(store, console)
 

@@ -45,7 +45,7 @@ class Outcome:
     interrupted: bool = False
 
     def close(self, store: Store, console: Console, write: Callable[[], object]) -> int:
-        """Say what came of it, ``write`` unless it was interrupted; returns the exit code."""
+        """Print the outcome, and ``write`` unless interrupted; returns the exit code."""
         if self.skipped:
             console.print(f"{len(self.skipped)} runs were complete already")
         if self.interrupted:
@@ -60,7 +60,7 @@ class Outcome:
 
 
 def check_disk(experiment: Experiment, store: Store, todo: Sequence[Cell], slots: int) -> None:
-    """Refuse to start what would fill the disk: results, and checkpoints of runs side by side."""
+    """Refuse to start if results, and checkpoints of parallel runs, would fill the disk."""
     # a checkpoint is written beside the last one
     sizes = sorted((2 * experiment.checkpoint_bytes(cell) for cell in todo), reverse=True)
     needed = experiment.run_bytes * len(todo) + sum(sizes[:slots])
@@ -74,7 +74,7 @@ def check_disk(experiment: Experiment, store: Store, todo: Sequence[Cell], slots
 
 
 def check_settings(experiment: Experiment, store: Store, todo: Sequence[Cell]) -> None:
-    """Refuse cells that the store has with other settings, or another seed of which it has so."""
+    """Refuse cells that the store holds, for this or another seed, with other settings."""
     alike = {run.id.rpartition("-s")[0]: run for run in store.completed()}
     for cell in todo:
         config = experiment.settings(cell)
@@ -140,7 +140,7 @@ class Harness:
                 continue
             self._queue.append(cell)
             self._units[cell.id] = self.experiment.units(config)
-            # what earlier calls have done counts as done, not as fast work
+            # work of earlier calls counts as done, not as fast work
             self._shares[cell.id] = folder.progress()[0]
 
     def _loop(self, progress: Progress, overall: TaskID) -> None:
@@ -186,7 +186,7 @@ class Harness:
             self._report(child)
 
     def _show(self, progress: Progress, overall: TaskID) -> None:
-        """How far everything is."""
+        """Update the bar of all runs together."""
         waiting = len(self._queue) + sum(child.job.place() is None for child in self._children)
         progress.update(
             overall,
@@ -232,7 +232,7 @@ class Harness:
 
 
 def bar(console: Console, *more: ProgressColumn) -> Progress:
-    """The progress bar of all that runs; ``more`` columns stand at its end."""
+    """The progress display of all that runs; ``more`` columns stand at its end."""
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
     return Progress(*columns, Remaining(), *more, console=console, refresh_per_second=PER_SECOND)
 

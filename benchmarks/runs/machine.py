@@ -1,4 +1,4 @@
-"""What a run was made with: commit, versions, machine."""
+"""The commit, versions and machine of a run."""
 
 import importlib.metadata
 import os

@@ -1,8 +1,8 @@
 """The final policy of a run as a file small enough to commit, which SB3 loads like any other.
 
-What acting does not ask for goes (target network, optimizer), the widths of the noise stay, and the
-rest is rounded to half precision before it is tested, so that the file *is* what was tested. The
-digest of the weights as trained is kept in meta.json: two runs can be compared to the bit by it.
+What acting does not need (target network, optimizer) is dropped, but no sigma of the noise. What is
+left is rounded to half precision before the test, so that the file *is* what was tested. meta.json
+keeps the digest of the trained weights, by which two runs can be compared to the bit.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ import torch
 
 from benchmarks.runs.store import write_atomic
 
-# what acting never asks of Rainbow, DQN or an actor-critic, and what noisy layers draw anew
+# what Rainbow, DQN or an actor-critic never needs to act, and what noisy layers draw anew
 _UNUSED: Final = (
     *("q_net_target.", "quantile_net_target.", "mlp_extractor.value_net.", "value_net."),
     *("critic.", "critic_target.", "actor_target."),
@@ -35,8 +35,8 @@ def digest(model: Any) -> str:
 
 
 def reduce_to_acting(model: Any) -> None:
-    """Leave of the model, in place, what acting needs, in half precision's steps."""
-    # a policy of a user's own may act by a part of such a name
+    """Reduce the model, in place, to what acting needs, rounded to half precision."""
+    # a user's own policy may need a part of such a name to act
     known = type(model.policy).__module__.startswith(_KNOWN)
     with torch.no_grad():
         for name, value in model.policy.state_dict().items():

@@ -23,7 +23,7 @@ from benchmarks.runs.store import RunFolder, write_text
 RETRIES: Final = 3  # in a row without a step of progress
 POLL_SECONDS: Final = 0.2
 CONNECT_SECONDS: Final = 10.0
-TICKET: Final = "ticket.json"  # from the harness: whom the run is for
+TICKET: Final = "ticket.json"  # from the harness: its nonce
 WORKER: Final = "worker.json"  # from the worker: where it runs
 
 

@@ -41,7 +41,7 @@ BROKEN: Final = "broken-"  # before the name of a checkpoint that could not be r
 
 
 def sync(path: Path) -> None:
-    """Have a file or a folder's list of names on the disk, whatever befalls the machine next."""
+    """Flush a file, or a folder's list of names, to the disk, so that it survives a crash."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -116,7 +116,7 @@ def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {str(key): value for key, value in flat.items() if key not in WORDS}
 
 
-@lru_cache(maxsize=10_000)  # problems, tables, figures and pages ask for the same files in turn
+@lru_cache(maxsize=10_000)  # problems, tables, figures and pages ask for the same files
 def _parsed(path: Path, parse: Callable[[Path], Any], version: tuple[int, ...]) -> Any:
     return parse(path)
 
@@ -147,7 +147,7 @@ class RunFolder:
         self.checkpoint = path / "checkpoint"
         self.tensorboard = path / "tensorboard"
         self.log = self.checkpoint / "log.txt"
-        self._told = time.perf_counter()
+        self._reported = time.perf_counter()
 
     def is_complete(self) -> bool:
         """Whether the run has ended and its results are stored."""
@@ -158,7 +158,7 @@ class RunFolder:
         return self.is_complete() and self.policy.is_file()
 
     def versions(self) -> tuple[object, ...]:
-        """What changes whenever one of the files does."""
+        """Versions of the files, which change whenever a file does."""
         files = (path for path in sorted(self.path.glob("*")) if path.is_file())
         return tuple((path.name, *_version(path)) for path in files)
 
@@ -167,7 +167,7 @@ class RunFolder:
         return hashlib.sha256(self.policy.read_bytes()).hexdigest()
 
     def begin(self, config: Mapping[str, Any]) -> None:
-        """Claim the folder for ``config``; BenchmarkError if it is another's, which is left."""
+        """Claim the folder for ``config``; BenchmarkError if it holds a run with other settings."""
         self.check_config(config)
         for left in self.path.glob(".*.tmp*"):  # of a process that was killed while it wrote
             left.unlink(missing_ok=True)
@@ -266,20 +266,20 @@ class RunFolder:
         return (self.path / f"{name}.csv").is_file()
 
     def write_progress(self, done: float, note: str) -> None:
-        """Say how far the run is (0 to 1), for the harness that waits for it."""
+        """Report the run's progress (0 to 1) to the harness that waits for it."""
         text = json.dumps({"done": done, "note": note})
-        with suppress(OSError):  # a disk that is full ends no run that has no need of it
+        with suppress(OSError):  # a full disk ends no run just because of this file
             write_text(self.checkpoint / "progress.json", text)
 
     def report(self, done: float, note: Callable[[], str]) -> None:
         """As :meth:`write_progress`, but not more often than the harness looks."""
         now = time.perf_counter()
-        if now - self._told >= PROGRESS_SECONDS:
-            self._told = now
+        if now - self._reported >= PROGRESS_SECONDS:
+            self._reported = now
             self.write_progress(done, note())
 
     def progress(self) -> tuple[float, str]:
-        """How far the run is, and a word on it."""
+        """The run's progress (0 to 1), and a note."""
         if self.is_complete():
             return 1.0, "complete"
         try:
@@ -289,7 +289,7 @@ class RunFolder:
             return 0.0, ""
 
     def lock(self, wait: float = 0.0) -> AbstractContextManager[None]:
-        """Hold the run for one process; BenchmarkError if another one does for ``wait`` seconds."""
+        """Lock the run for one process; BenchmarkError if another holds it for ``wait`` seconds."""
         refusal = f"another process is at work on {self.path}; wait for it or stop it"
         return _held(self.path / "run.lock", refusal, wait)
 
@@ -317,7 +317,7 @@ class Store:
     def open(cls, root: Path | str, preset: str, create: bool = False, path: str = "") -> Self:
         """Open a store, or ``create`` it; BenchmarkError if it is missing or of another schema.
 
-        ``path`` is that of a preset of one's own, by which alone a command finds it.
+        ``path``: the file of a user's own preset, by which commands find it.
         """
         store = cls(Path(root), preset)
         marker = store.folder / "store.json"
@@ -349,7 +349,7 @@ class Store:
         return store
 
     def lock(self) -> AbstractContextManager[None]:
-        """Hold the store for one harness; BenchmarkError if another one holds it."""
+        """Lock the store for one harness; BenchmarkError if another holds it."""
         refusal = f"another harness is at work in {self.folder}; wait for it, or use another "
         return _held(self.folder / "store.lock", f"{refusal}--results folder")
 
@@ -362,7 +362,7 @@ class Store:
         return _complete(self.folder / "runs")
 
     def entered(self) -> list[RunFolder]:
-        """All methods that others brought, a folder per name and seed."""
+        """All entries of others' methods, a folder per name and seed."""
         return _complete(self.entries)
 
 

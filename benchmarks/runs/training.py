@@ -1,4 +1,4 @@
-"""Training of one learning cell: resume if it was cut off, learn, keep going.
+"""Training of one learning cell, resumed if it was cut off.
 
 A run is checkpointed between two rounds of collection, where model, replay buffer, environments and
 callbacks agree with one another, so that a resumed run goes on as if it had never stopped.
@@ -94,7 +94,7 @@ def train(
     env = make_training_env(preset, cell)
     curriculum = CurriculumCallback(track.curriculum, track.rows)
     envs: Any = env.venv
-    with flush_denormals():  # for every method alike
+    with flush_denormals():  # for all methods alike
         return learn(
             folder,
             class_of(cell.method),
@@ -111,7 +111,7 @@ def train(
 
 
 class _Monitor:
-    """The episodes that a VecMonitor is in the midst of."""
+    """The running episodes of a VecMonitor."""
 
     def __init__(self, env: VecMonitor) -> None:
         self.env = env

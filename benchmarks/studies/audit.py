@@ -1,11 +1,11 @@
-"""What each reward pays for: the return of farming it against the return of doing the task.
+"""What each reward pays for: the return of exploiting it beside the return of doing the task.
 
 Scripted policies play the same validation starts under each reward, on the first track of the
 preset that has it; results go to ``results/audit/``. *Insert* follows the exact
 optimum hole after hole, *insert one* stops at the first. *Farm* looks on the optimum's way to the
 first hole, and two moves off it, for the place where a move and its reversal pay most, goes there
 and repeats the two until the time is up; *oscillate* does so where the episode starts. *Random*
-takes any unmasked move. Beside them stands what the trained policies of a preset came to.
+takes any unmasked move. Beside them stand the trained policies of a preset.
 """
 
 import json
@@ -38,7 +38,7 @@ Row = dict[str, Any]
 
 
 def of_each_reward(preset: Preset) -> Preset:
-    """The preset with the first of its tracks that has a reward for each reward there is."""
+    """The preset with one track for each reward: the first that has it."""
     result: dict[str, str] = {}
     for name, track in preset.tracks.items():
         result.setdefault(f"{track.reward} {sorted(track.reward_kwargs.items())}", name)
@@ -81,7 +81,7 @@ def _returns(env: CoopInsertionEnv, simulator: Simulator, moves: Moves, gamma: f
 
 
 def learned(results: Path, preset: str) -> str | None:
-    """What learned.csv says of a preset's runs, empty of none; None where it has no store.
+    """The text of learned.csv for a preset's runs, empty if none; None where there is no store.
 
     One row per stored learner: mean return and holes of the last tenth of its training.
     """

@@ -1,4 +1,4 @@
-"""What a study is: parts that are measured once each, what is told of them, and where it stands.
+"""What a study is: parts, each measured once, and the texts, tables and pages made of them.
 
 A study is data on :class:`Study`: options, parts, tables, a page. The base resumes, shows the bar,
 stores, publishes and verifies.
@@ -28,7 +28,7 @@ from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
 from coop_env.geometry import RRSGeometry
 
-Tick = Callable[[float], None]  # hears which share is done
+Tick = Callable[[float], None]  # called with the share that is done, 0 to 1
 Part = Callable[[Tick], Any]
 Option = Mapping[str, Any]  # keyword arguments of add_argument
 Act = Callable[[Any, Any], Any]  # an action from an observation and the action masks
@@ -54,8 +54,8 @@ class Study(ABC):
         self.folder = self.results / self.name
 
     @classmethod
-    def word(cls) -> str:
-        """What names it on the command line: ``module:Class`` where the catalogue does not."""
+    def command_name(cls) -> str:
+        """Its name on the command line: ``module:Class`` if it is not in the catalogue."""
         here = cls.__module__.startswith("benchmarks.")
         return cls.name if here else f"{cls.__module__}:{cls.__name__}"
 
@@ -63,7 +63,7 @@ class Study(ABC):
     def parser(cls) -> argparse.ArgumentParser:
         """The command line of the study."""
         result = argparse.ArgumentParser(
-            prog=f"python -m benchmarks study {cls.word()}",
+            prog=f"python -m benchmarks study {cls.command_name()}",
             description=importlib.import_module(cls.__module__).__doc__,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
@@ -76,7 +76,9 @@ class Study(ABC):
     def main(cls, argv: Sequence[str]) -> int:
         """Measure what is missing, then tables, figures and pages; returns the exit code."""
         given = cls.parser().parse_args(list(argv))
-        given.command = shlex.join(["python", "-m", "benchmarks", "study", cls.word(), *argv])
+        given.command = shlex.join(
+            ["python", "-m", "benchmarks", "study", cls.command_name(), *argv]
+        )
         for module in cls.needs[:-1]:
             try:
                 importlib.import_module(module)
@@ -95,7 +97,7 @@ class Study(ABC):
         study.finish()
         for path, text in cls.files(study.results).items():
             write_text(path, text)
-            if path.is_relative_to(study.folder):  # not what it found out of another store
+            if path.is_relative_to(study.folder):  # not what it wrote to another store
                 console.print(text, highlight=False)
         pages = blocks.rewrite(study.results, cls.blocks(study.results))
         console.print(f"Written to {', '.join(map(str, [study.folder, *pages]))}")
@@ -106,10 +108,10 @@ class Study(ABC):
         """What is still to be measured, by name, in order."""
 
     def keep(self, name: str, result: Any) -> None:  # noqa: B027 - a part may store its own
-        """Store what a part gave."""
+        """Store the result of a part."""
 
     def finish(self) -> None:  # noqa: B027 - few draw
-        """Draw what is to be drawn once all parts are there."""
+        """Write what needs all parts: figures, or other files."""
 
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:
@@ -138,7 +140,7 @@ class Study(ABC):
 
 
 class OfOneFile(Study):
-    """A study of which all that is told follows from one JSON ``file`` below the results folder."""
+    """A study whose texts all follow from one JSON ``file`` below the results folder."""
 
     file: ClassVar[str] = ""
 
@@ -156,10 +158,9 @@ class OfOneFile(Study):
 
 
 class Measured(OfOneFile):
-    """A study whose parts lie in one JSON file, each stored as it is done.
+    """A study whose parts lie in one JSON file, each stored as soon as it is done.
 
-    What was asked for decides the file: other settings, or another commit, begin a new one, and
-    the old one is kept beside it.
+    Other settings or another commit begin a new file, and the old one is kept beside it.
     """
 
     def __init__(self, given: argparse.Namespace) -> None:
@@ -169,7 +170,7 @@ class Measured(OfOneFile):
         self.path = self.results / self.file
         self.folder = self.path.parent
         self.result: dict[str, Any] = {"asked": json.loads(_as_json(self.asked())), "parts": {}}
-        self._others = self.path.is_file()  # what the file holds is of other settings
+        self._others = self.path.is_file()  # the file holds other settings
         if self._others:
             stored = read_stored(self.path)
             if not isinstance(stored, dict) or not isinstance(stored.get("parts"), dict):
@@ -179,9 +180,9 @@ class Measured(OfOneFile):
         self.result |= {"command": given.command, "machine": describe()}
 
     def asked(self) -> dict[str, Any]:
-        """What decides the parts, as JSON can hold it."""
+        """The settings that decide the parts, as JSON can hold them."""
         given = {k: v for k, v in vars(self.given).items() if k not in ("results", "command")}
-        ours = type(self).__module__.startswith("benchmarks.")  # of which the commit tells
+        ours = type(self).__module__.startswith("benchmarks.")  # its commit is recorded
         edited = {} if ours else source_digest(type(self))
         return {**given, "commit": describe()["commit"], **edited}
 
@@ -213,7 +214,7 @@ class Measured(OfOneFile):
 
 
 def source_digest(of: Any) -> dict[str, str]:
-    """The digest of the file of a class or function of one's own, whose edits make it another."""
+    """The digest of the source file of a user's own class or function, which changes with edits."""
     try:
         source = Path(str(inspect.getsourcefile(of)))
         return {"source_sha256": hashlib.sha256(source.read_bytes()).hexdigest()}
@@ -260,13 +261,13 @@ def episode(env: Any, act: Callable[[Any], Any], **reset: Any) -> Iterator[dict[
 
 
 def by_plans(env: Any, plan: Callable[[Any], Any]) -> Callable[..., Any]:
-    """Moves of plans, hole by hole, run open loop, as far as one leads into its hole; then None."""
+    """Moves of plans, one for each hole, run open loop; None once a plan fails to fill its hole."""
 
     def moves() -> Iterator[int]:
         filled = -1
         while env.running and (done := int(env.state["filled"].sum())) > filled:
-            filled, found = done, plan(env).moves
-            yield from () if found is None else map(int, found)
+            filled, plan_moves = done, plan(env).moves
+            yield from () if plan_moves is None else map(int, plan_moves)
 
     result = moves()
     return lambda *_: next(result, None)
@@ -280,7 +281,7 @@ def greedy(model: Any) -> Act:
     return lambda observation, masks: int(act(observation[None], masks[None])[0])
 
 
-#: what of a track decides a policy's view of the nominal task
+#: fields of a track that decide a policy's view of the nominal task
 SEEN: Final = (
     "observation",
     "mask_singularities",
@@ -294,8 +295,8 @@ SEEN: Final = (
 def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]:
     """The arguments of the environment that a model was trained in, and its greedy actions.
 
-    A run's has its ``config.yaml`` beside it. BenchmarkError if the file is missing, is no model,
-    or is not of the single-agent task.
+    A run's policy has its ``config.yaml`` beside it. BenchmarkError if the file is missing, is no
+    model, or is not of the single-agent task.
     """
     from benchmarks.evaluation.model_files import fitting_observation, load_model
 
@@ -304,8 +305,8 @@ def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]
     config = path.with_name("config.yaml")
     if path.name == "policy.zip" and config.is_file():  # a run's, which load_model has checked
         result = read_yaml(config)
-        told = result["track"].items()  # None is what the environment has by default
-        arguments |= {name: value for name, value in told if name in SEEN and value is not None}
+        track = result["track"].items()  # None is what the environment has by default
+        arguments |= {name: value for name, value in track if name in SEEN and value is not None}
         own = result.get("dimensions")
         arguments["geometry"] = RRSGeometry(**own) if own else result["cell"]["geometry"]
     return arguments, greedy(model)

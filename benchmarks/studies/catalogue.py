@@ -1,4 +1,4 @@
-"""All studies and experiments by name, and what is done with them all: verify, pages."""
+"""All studies and experiments by name; verification and pages over all of them."""
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
@@ -95,16 +95,18 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
     def results_of(name: str) -> Results:
         return Results(of_store(name))
 
-    def public(said: str) -> str:
+    def public(argument: str) -> str:
         from benchmarks.studies.classic.report import page
 
-        return page(of_store(said))
+        return page(of_store(argument))
 
     result: dict[str, Block] = {
         "include": blocks.include(results),
         "docstring": blocks.docstring(CoopInsertionEnv),
-        "results": lambda said: science.short(results_of(said)),
-        "science": lambda said: science.science(results_of(said.split()[0]), "beyond" in said),
+        "results": lambda argument: science.short(results_of(argument)),
+        "science": lambda argument: science.science(
+            results_of(argument.split()[0]), "beyond" in argument
+        ),
         "classic": public,
     }
     for name in STUDIES:
@@ -119,22 +121,22 @@ def _of_store(one: Experiment, results: Path) -> list[str]:
 
 
 def named(path: Path, check: Callable[[], list[str]]) -> list[str]:
-    """What ``check`` finds below ``path``; an error of its own becomes a sentence too."""
+    """What ``check`` finds below ``path``; an error that it raises becomes a sentence too."""
     try:
         return check()
     except BenchmarkError as error:  # a damaged file ends its check, the others go on
         return [str(error)]
-    except Exception as error:  # whatever comes of what may stand in a file
+    except Exception as error:  # a damaged file may raise anything
         return [f"{path}: a file cannot be read ({type(error).__name__}: {error})"]
 
 
 def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Check the stores of ``presets`` (all under ``results`` if none is named), studies and pages.
 
-    Yields what is looked at, then a sentence for each thing that disagrees, if any does.
+    Yields what is checked, then a sentence for each difference.
     BenchmarkError if there are no results, or none of one of ``presets``.
     """
-    there, found = stores(results), False
+    there, differs = stores(results), False
     if not (there or presets or others(results)):
         raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
     checks: list[tuple[str, Path, Callable[[], list[str]]]] = []
@@ -156,12 +158,12 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
         yield what, []
         if problems := named(path, check):
             yield "", problems
-            found = True
+            differs = True
     if presets:
         return
     for folder in others(results):
         yield f"{folder}: not looked at; --preset FILE says what is in it", []
-    if found:
-        yield "Pages: not looked at until these differences are mended", []
+    if differs:
+        yield "Pages: not looked at until these differences are fixed", []
     else:
         yield from blocks.check(results, all_blocks(results))

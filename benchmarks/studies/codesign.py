@@ -1,8 +1,8 @@
-"""The 3-RRS is chosen for what the team achieves, not for its workspace alone.
+"""Co-design: the 3-RRS is chosen for what the team achieves, not for its workspace alone.
 
 Two studies, of (lambda1, lambda2) and of (L2, home heave). The exact optimum with both robots
 moving at once scores designs for Optuna's NSGA-II: success and mean ticks. Then a policy is trained
-on each of the chosen designs, over seeds, and tested on test starts. What is complete is kept in
+on each of the chosen designs, over seeds, and tested on test starts. Complete parts are kept in
 ``results/codesign/``: the same command goes on from there.
 """
 
@@ -41,9 +41,9 @@ from coop_env.geometry import GEOMETRIES, OPTIMIZED, GeometryError, RRSGeometry
 from coop_env.team.joint_env import CoopInsertionJointEnv
 
 Values = dict[str, float]
-EPISODES: Final = 100  # of a test, for each seed
+EPISODES: Final = 100  # of each test and seed
 POPULATION: Final = 50  # of the sampler
-#: digits that designs are made with
+#: decimals of a design's values
 DIGITS: Final = {"lambda1": 4, "lambda2": 4, "distal_length": 5, "home_heave": 5}
 BOUNDS: Final[dict[str, tuple[float, float]]] = {
     "lambda1": (0.8, 2.0),
@@ -60,14 +60,14 @@ class Unbuilt(Exception):
 
 
 def parameters(geometry: RRSGeometry) -> Values:
-    """What the studies vary, of a geometry."""
+    """The values of a geometry that the studies vary."""
     lambda1, lambda2, _ = geometry.lambdas
     heights = {name: getattr(geometry, name) for name in STUDIES["heights"]}
     return {"lambda1": lambda1, "lambda2": lambda2, **heights}
 
 
 def rounded(values: Mapping[str, float]) -> Values:
-    """The values as they are stored, and built."""
+    """The values as they are stored and built, rounded."""
     return {name: round(float(value), DIGITS[name]) for name, value in values.items()}
 
 
@@ -128,7 +128,7 @@ def starts_of(geometry: RRSGeometry, seeds: Iterable[int]) -> Iterator[CoopInser
 
 
 def build(values: Mapping[str, float]) -> RRSGeometry:
-    """The geometry of a design; Unbuilt where there is none that can do the task."""
+    """The geometry of a design; raises Unbuilt if it cannot do the task."""
     try:
         geometry = geometry_of(values)
     except GeometryError as error:
@@ -140,9 +140,9 @@ def build(values: Mapping[str, float]) -> RRSGeometry:
 def optimum(
     geometry: RRSGeometry, seed: int, starts: int, stream: str = "validate"
 ) -> dict[str, float]:
-    """What the exact optimum achieves, both robots at once, from a stream's starts of a seed.
+    """The exact optimum's results, both robots at once, from a stream's starts of a seed.
 
-    What the search left undecided counts as not solved. Unbuilt where a start finds no pose.
+    Undecided searches count as not solved. Raises Unbuilt where no start pose is found.
     """
     oracle = LatticeOracle(at_once=True)
     seeds = episode_seeds(seed, starts, stream)
@@ -152,7 +152,7 @@ def optimum(
 
 
 def reach(lengths: Sequence[float]) -> dict[str, float]:
-    """Success in %, mean ticks of those that succeed, and of all, NaN counting a whole episode."""
+    """Success in %, mean ticks of successes, and of all, where NaN counts as a whole episode."""
     ticks = np.asarray(lengths, dtype=float)
     solved = np.isfinite(ticks)
     return {
@@ -171,10 +171,11 @@ def score(name: str, study: str, geometry: RRSGeometry, starts: int) -> dict[str
 def search(
     folder: Path, study: str, floor: float, designs: int, starts: int, tick: Tick
 ) -> tuple[list[dict[str, Any]], dict[str, int], float]:
-    """NSGA-II until so many designs have a score.
+    """Run NSGA-II until ``designs`` designs have a score.
 
-    The journal is on disk: a call that was killed goes on as if it had not been. A design below
-    ``floor``, %, ranks below all others: one that only reaches the nearest targets looks quick.
+    The journal is on disk: a killed call goes on as if it had not been killed. A design with
+    success below ``floor``, %, ranks below all others: one that reaches only the nearest targets
+    looks quick.
 
     Returns:
         Their rows; how many designs had none, by reason; and the CPU seconds of the scores.
@@ -203,7 +204,7 @@ def search(
             return rows, skipped, seconds
         tick(len(rows) / designs)
         number = len(rows) + sum(skipped.values())
-        # of its own for each: what is proposed depends on the designs before it alone
+        # one sampler each, so that a proposal depends only on the designs before it
         run.sampler = optuna.samplers.NSGAIISampler(population_size=POPULATION, seed=number)
         trial, began = run.ask(space), time.process_time()
         try:

@@ -1,4 +1,4 @@
-"""What the co-design stored and which designs it chooses by that: tables, sentences, figure."""
+"""The stored co-design, the designs chosen by it, its tables, sentences and figure."""
 
 import math
 from functools import cached_property
@@ -26,14 +26,14 @@ STUDIES: Final = {
     "heights": ("distal_length", "home_heave"),
 }
 SYMBOLS: Final = {"lambdas": "(λ1, λ2)", "heights": "(L2, home)"}
-BASE: Final = "optimized"  # which all studies begin from
+BASE: Final = "optimized"  # where all studies begin
 ALL: Final = "all"  # its study
 OF_ONE: Final = "central"  # the track of the policies on chosen designs: both robots at once
 MOST: Final = 300  # ticks of an episode, the task's default
 POLICIES: Final = "policies"
 #: least rank correlations for which the area counts as a good proxy, and as one at all
 GOOD, FAIR = 0.8, 0.3
-FEW: Final = 20  # designs, of which nothing is said
+FEW: Final = 20  # no verdict on fewer designs
 
 
 class SearchResult:
@@ -55,11 +55,11 @@ class SearchResult:
         return {"design": design, **self.designs.loc[design].to_dict()}
 
     def of_study(self, study: str) -> pd.DataFrame:
-        """The designs of a study, and the one that it begins from."""
+        """The designs of a study, and the one where it begins."""
         return self.designs[self.designs["study"].isin([study, ALL])]
 
     def front(self, study: str) -> pd.DataFrame:
-        """The designs of a study that no other beats, the quickest first."""
+        """The Pareto front of a study, the quickest design first."""
         rows = self.of_study(study)
         return rows[on_front(rows, self.summary["floor"])].sort_values("ticks")
 
@@ -88,7 +88,7 @@ class SearchResult:
 
 
 def on_front(rows: pd.DataFrame, floor: float) -> np.ndarray:
-    """Which rows no other beats in success and ticks alike, among those at the floor or above."""
+    """Rows on the Pareto front of success and ticks, among those at or above the floor."""
     success, ticks = rows["success"].to_numpy(), rows["ticks"].to_numpy()
     at_least = (success[:, None] >= success) & (ticks[:, None] <= ticks)
     better = at_least & ((success[:, None] > success) | (ticks[:, None] < ticks))
@@ -96,13 +96,13 @@ def on_front(rows: pd.DataFrame, floor: float) -> np.ndarray:
 
 
 def quickest(rows: pd.DataFrame, success: float) -> str:
-    """Name of the design with the fewest ticks among those that succeed at least so often."""
+    """Name of the design with the fewest ticks among those with at least this success, %."""
     sure = rows[rows["success"] >= success]
     return str(sure.sort_values(["ticks", "success"], ascending=[True, False]).index[0])
 
 
 def surest(rows: pd.DataFrame) -> str:
-    """Name of the design that succeeds most often, of equals the one with the fewest ticks."""
+    """Name of the design with the highest success; ties go to the fewest ticks."""
     return str(rows.sort_values(["success", "ticks"], ascending=[False, True]).index[0])
 
 
@@ -124,7 +124,7 @@ def rank_correlation(x: ArrayLike, y: ArrayLike) -> Value:
 
 
 def to_markdown(result: SearchResult) -> str:
-    """All of it as Markdown."""
+    """The whole report as Markdown."""
     summary, machine = result.summary, result.summary["machine"]
     runs = Store(result.folder, POLICIES).completed()
     spent = summary["cpu_seconds"] + sum(float(run.meta()["cpu_seconds"]) for run in runs)
@@ -163,7 +163,7 @@ def _searched(result: SearchResult) -> Table:
 
 
 def verdict(value: Value) -> str:
-    """Whether the area is a good proxy, by the rank correlation's interval."""
+    """The verdict on the area as a proxy, by the rank correlation's interval."""
     if value.low >= FAIR:
         return "good" if value.low >= GOOD else "rough"
     return "none" if value.high < FAIR else "at best rough"
@@ -211,7 +211,7 @@ def _designs(result: SearchResult) -> Table:
 
 
 def fronts(result: SearchResult) -> Figure:
-    """Of each study success over ticks, with the front, and success over the area."""
+    """For each study success over ticks with the Pareto front, and success over the area."""
     figure, panels = canvas(len(STUDIES), 2, (7.2, 6.6))
     for row, study in enumerate(STUDIES):
         rows, front = result.of_study(study), result.front(study)

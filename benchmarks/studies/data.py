@@ -1,10 +1,10 @@
-"""Minari datasets of the insertion task, for learners that meet no environment.
+"""Minari datasets of the insertion task, for offline learners.
 
 Four behaviours act on the track `safe`, under its masks: the exact *optimum*, which ends where no
 moves insert; the *expert*, two-move lookahead from the observation; *medium*, the expert with a
 share of its moves drawn from the allowed ones; and *random* moves, drawn from the allowed ones.
-Episode k begins at the same state for all, which is no state of a test, a validation or a training.
-What was cut off begins anew, complete datasets are kept. With ``--contact`` the scripts of the
+Episode k begins at the same state for all; no test, validation or training begins there. An
+interrupted dataset begins anew, complete ones are kept. With ``--contact`` the scripts of the
 contact task act in it, and ``infos`` hold its privileged state.
 """
 
@@ -43,7 +43,7 @@ from coop_env.env import CoopInsertionEnv
 NAMESPACE: Final = "coop-insertion"
 TRACK: Final = "safe"
 SMALL: Final = 2_000  # steps of the dataset that is in git
-# with three of four moves random the expert succeeds about half as often, on these starts
+# with three of four moves random the expert succeeds about half as often on these starts
 RANDOM_SHARE: Final = {"expert": 0.0, "medium": 0.75, "random": 1.0}
 BEHAVIOURS: Final = {
     "optimum": "exact optimum",
@@ -62,7 +62,7 @@ Played = tuple[Any, int]  # an episode in Minari's buffer, and how many holes it
 
 @dataclass(frozen=True)
 class Recipe:
-    """What decides a dataset. ``behaviour`` is one of ``BEHAVIOURS`` or ``CONTACT``."""
+    """The settings of a dataset. ``behaviour`` is one of ``BEHAVIOURS`` or ``CONTACT``."""
 
     name: str
     behaviour: str
@@ -70,16 +70,16 @@ class Recipe:
 
     @property
     def id(self) -> str:
-        """Minari's name of it, which is its folder, too."""
+        """Minari's name of the dataset, which is also its folder."""
         return f"{NAMESPACE}/{self.name}-v0"
 
     def settings(self) -> dict[str, Any]:
-        """As the dataset's metadata keeps them."""
+        """The settings as the dataset's metadata has them."""
         share = RANDOM_SHARE.get(self.behaviour, 0.0)
         return {"behaviour": self.behaviour, "at_least": self.steps, "random_share": share}
 
     def environment(self) -> Any:
-        """The environment that Minari makes anew."""
+        """The environment, as Minari recreates it."""
         if self.behaviour in CONTACT:
             return gymnasium.make("CoopInsertionContact-v0")
         preset, cell = load_preset("cut"), Cell("rainbow", "full", "optimized", TRACK, 0)
@@ -102,7 +102,7 @@ def recipes(steps: int, contact: bool = False) -> list[Recipe]:
 
 
 def play(recipe: Recipe, progress: Callable[[int], None]) -> list[Played]:
-    """Whole episodes from the first on, until they have the recipe's steps together."""
+    """Whole episodes from the first on, until together they have the recipe's steps."""
     env, kept, done = recipe.environment().unwrapped, list[Played](), 0
     begin = _acting(recipe, env)
     while done < recipe.steps:
@@ -124,12 +124,12 @@ def record(env: Any, seed: int, act: Script) -> Played:
     result = EpisodeBuffer(seed=seed, observations=[], actions=[], infos={})
     while True:
         result.observations.append(seen)
-        told = (
+        shown = (
             {"action_masks": env.action_masks(), "n_filled": int(info["n_filled"])}
             if moves
             else {"privileged": info["privileged"]}
         )
-        for name, value in told.items():
+        for name, value in shown.items():
             result.infos.setdefault(name, []).append(value)
         if over or (action := act(seen)) is None:
             break
@@ -163,7 +163,7 @@ def _acting(recipe: Recipe, env: Any) -> Callable[[int], Script]:
 
 
 def measure(episodes: Sequence[Played], most: int = N_HOLES) -> dict[str, Any]:
-    """What the metadata and the table say of a dataset; starts without a move count, too."""
+    """The figures of a dataset for metadata and table; starts without a move count too."""
     rewards = np.array([sum(buffer.rewards) for buffer, _ in episodes])
     holes = np.array([filled for _, filled in episodes])
     return {
@@ -207,12 +207,12 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Played]) -> None:
 
 
 def minari_root(folder: str | os.PathLike[str]) -> AbstractContextManager[Any]:
-    """Where Minari looks for datasets, and puts them."""
+    """A context in which Minari reads and writes its datasets in this folder."""
     return mock.patch.dict(os.environ, {"MINARI_DATASETS_PATH": os.fspath(folder)})
 
 
 def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
-    """What is known of a dataset, None if it is not there; BenchmarkError if another recipe's."""
+    """The metadata of a dataset, None if it is missing; BenchmarkError if the recipe differs."""
     path = root / recipe.id / "data" / "metadata.json"
     if not path.is_file():
         return None

@@ -2,7 +2,7 @@
 
 The stored policies play their test episodes again, up to the first insertion. A failure is
 *infeasible* if no sequence of moves inserts from that start, *singular* if a singularity ended the
-episode, *cycle* if the last moves ran through the same few configurations, and else *wandering*.
+episode, *cycle* if the last moves only repeated a few configurations, and else *wandering*.
 Written to ``results/<preset>/failures/`` as ``<method>-<track>``: ``.csv``, one row per episode,
 and ``.md``.
 """

@@ -33,7 +33,7 @@ class Insertion(Experiment[Preset]):
 
     def __init__(self, preset: Preset | str) -> None:
         super().__init__(preset)
-        if self.name not in preset_names():  # of a user's own, who may have a learner of his own
+        if self.name not in preset_names():  # a user's own, perhaps with his own learner
             self.printed = (*self.printed, "leaderboard")
 
     def build(self, cell: Cell) -> Any:

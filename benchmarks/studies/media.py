@@ -90,13 +90,13 @@ def play(env: CoopInsertionEnv, seed: int, act: Act) -> list[Scene]:
 
 
 def telling_moment(scenes: Sequence[Scene]) -> Scene:
-    """The scene nearest to a hole with half of the last scene's holes filled."""
+    """The scene nearest to its hole among those with half of the final holes filled."""
     half = scenes[-1].filled.sum() // 2
     return min(scenes, key=lambda scene: (abs(scene.filled.sum() - half), scene.distance))
 
 
 def write_animation(path: Path, frames: Sequence[Image8], fps: float) -> None:
-    """A GIF with one palette for all pictures, so that what stands still costs nothing."""
+    """Write a GIF with one palette for all pictures, so that what stands still costs nothing."""
     seen = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
     # small but telling: without a share of their own the palette would lose these colours
     shades = np.multiply.outer((1.0, 0.8, 0.6), np.array(list(COLOURS.values())))

@@ -3,12 +3,12 @@
 `speed-env`: single and batched steps with their action masks, and the exact optimum.
 
 `speed-rainbow`: beside DQN of SB3, of SBX where ``sbx-rl`` is installed, and sb3-contrib's QR-DQN.
-"Rainbow" is the default (compiled kernels for a perceptron on the CPU), beside what torch makes of
-the same update. Three nets, 51 atoms, batch 64, a full replay buffer of 1e6, one update per step of
-an env that costs next to nothing. On images: random frames, 4 x 84 x 84, batch 32.
+"Rainbow" is the default (compiled kernels for a perceptron on the CPU); beside it stands the same
+update in plain torch. Three nets, 51 atoms, batch 64, a full replay buffer of 1e6, one update per
+step of an env that costs next to nothing. On images: random frames, 4 x 84 x 84, batch 32.
 
-One core, in turns, so that whatever else the machine does falls on all alike; a figure is the CPU
-time of the process in the median round.
+All take turns on one core, so that other load falls on all alike; a figure is the process's CPU
+time in the median round.
 """
 
 import argparse
@@ -41,7 +41,7 @@ from sb3_rainbow import Rainbow
 Name = TypeVar("Name", bound=Hashable)
 
 SINGLE: Final = "single, gymnasium.make, Python loop"
-OPTIMA: Final = ("optimized", "initial")  # geometries of which the optimum is measured
+OPTIMA: Final = ("optimized", "initial")  # geometries on which the optimum is measured
 N_INPUTS: Final = 12
 N_ACTIONS: Final = 12
 BATCH_SIZE: Final = 64
@@ -68,7 +68,7 @@ def seconds_of(action: Callable[[], Any]) -> float:
 
 
 def in_turns(actions: Mapping[Name, Callable[[], Any]], rounds: int) -> dict[Name, float]:
-    """CPU seconds of a call: medians over rounds in turns; the first is not counted."""
+    """CPU seconds of each call: medians over rounds in turns; the first round is not counted."""
     times: dict[Name, list[float]] = {name: [] for name in actions}
     for _ in range(rounds + 1):
         for name, action in actions.items():
@@ -77,7 +77,7 @@ def in_turns(actions: Mapping[Name, Callable[[], Any]], rounds: int) -> dict[Nam
 
 
 def stepping(env: Any, actions: Iterable[Any], masks: bool = False) -> Callable[[], None]:
-    """A loop of so many steps, each followed by the action masks."""
+    """A loop over ``actions``; with ``masks`` the action masks are read after each step."""
     single = not hasattr(env, "num_envs")
     env.reset(**{"seed": 0} if single else {})
     look: Callable[[], Any] = bool
@@ -174,7 +174,7 @@ def _source(result: dict[str, Any]) -> str:
 
 
 class StubEnv(gym.Env[NDArray[Any], np.int64]):
-    """A hundred random observations, episodes of as many steps: only the learner's time counts."""
+    """A hundred random observations, one episode, repeated: only the learner's time counts."""
 
     def __init__(self, shape: tuple[int, ...] = (N_INPUTS,)) -> None:
         rng, shown = np.random.default_rng(0), (EPISODE, *shape)
@@ -223,7 +223,7 @@ def sbx_dqn() -> Any | None:
 
 
 def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dict[str, Any]:
-    """The methods by name, trained for a moment, so that kernels are compiled, buffers full.
+    """The methods by name, trained briefly, so that kernels are compiled; buffers are full.
 
     Without layers they learn from images, with DQN's own convolutions and buffers not filled.
     """

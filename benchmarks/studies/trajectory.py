@@ -1,7 +1,7 @@
 """Episodes as joint trajectories: to files for a controller, and on the twin's servos.
 
 Without --export, the optimum, RRT-Connect and a stored Rainbow play the same test starts. Their
-ways become trajectories, stop-and-go and blended, and the twin drives each to the first insertion.
+paths become trajectories, stop-and-go and blended, and the twin drives each to the first insertion.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 MODEL: Final = Path("paper/runs/rainbow-optimized-repaired-s0/policy.zip")
 FORCE_LIMIT: Final = 40.0  # N, as in the contact task
 
-#: columns of a start with an insertion, which others leave empty
+#: columns that are empty for starts without an insertion
 KEYS: Final = ("seconds_first", "seconds", "blocked_first", "error", "torque", "force", "inserted")
 OPTIMUM: Final = "optimum"
 PLANNER: Final = "RRT-Connect"
@@ -87,7 +87,7 @@ def stored(path: Path) -> tuple[dict[str, Any], Play]:
 
 
 def played(arguments: dict[str, Any], play: Play, seed: int) -> Way:
-    """The way of one episode, and what it filled; a move that was refused adds nothing to it."""
+    """The way of one episode, and what it filled; refused moves add nothing."""
     env = make_env(**arguments)
     act = play(env)
     steps = episode(env, lambda seen: act(seen, env.action_masks()), seed=seed)
@@ -100,7 +100,7 @@ def played(arguments: dict[str, Any], play: Play, seed: int) -> Way:
 
 
 def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[Row]:
-    """What each kind of trajectory comes to, to the first insertion and for the whole episode."""
+    """A row for each kind of trajectory, to the first insertion and for the whole episode."""
     geometry = driver.twin.machine.rrs
     for kind, blend in (("stop-and-go", False), ("blended", True)):
         row: Row = {"method": method, "kind": kind, "start": number}
@@ -167,7 +167,7 @@ def export(folder: Path, trajectory: Trajectory) -> None:
 
 
 def measure(method: str, model: Path, starts: int, tick: Tick) -> list[Row]:
-    """The trajectories of so many test starts, driven by the twin."""
+    """The trajectories of ``starts`` test starts, driven by the twin."""
     from coop_env.physics.driver import TwinDriver
     from coop_env.physics.model import Machine
 

@@ -1,7 +1,7 @@
-"""What is said of a design: the paper's table, sensitivity, and a test trajectory.
+"""Analyses of a design: the paper's table, sensitivity, and a test trajectory.
 
-Sensitivity is how much the workspace hangs on heave and on the lengths as built.
-Along the trajectory the joints should stay within their limits, and move smoothly.
+Sensitivity is how much the workspace depends on heave and on errors of the lengths. Along the
+trajectory the joints should stay within their limits, and move smoothly.
 """
 
 import math
@@ -33,7 +33,7 @@ LENGTHS = ("base_radius", "proximal_length", "platform_radius", "distal_length")
 
 @dataclass(frozen=True, slots=True)
 class DesignMetrics:
-    """What the table compares; Omega is the connected component of home at home's heave.
+    """The table's metrics; Omega is the connected component of home at home's heave.
 
     Attributes:
         area: A_w, rad^2.
@@ -70,7 +70,7 @@ def measure(
     result = workspace_map(geometry, problem, samples)
     cone = tilt_azimuth(np.stack(result.samples, axis=-1))[..., 0] <= CONE
     covered = problem.extent >= CONE and bool(cone.any())
-    nan = math.nan  # also where a pose of the cone is out of reach
+    nan = math.nan  # sigma and kappa over the cone are NaN too if a pose of it is out of reach
     sigma_cone = float(result.sigma[cone].min()) if covered else nan
     if not result.inside.any():
         return DesignMetrics(0.0, sigma_cone, nan, nan, nan, nan, nan)
@@ -156,7 +156,7 @@ class PlatformTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryReport:
-    """What a design does along a trajectory; angles in rad, rates in rad/s.
+    """Metrics of a design along a trajectory; angles in rad, rates in rad/s.
 
     Attributes:
         valid: every pose reachable, within the joint limits, and on home's side of det A.
@@ -187,7 +187,7 @@ class TrajectoryReport:
 
 
 def _smoothstep(x: Floats) -> Floats:
-    """0 to 1 with rates zero up to the third at both ends."""
+    """Smooth step from 0 to 1: the first three derivatives vanish at both ends."""
     x = np.clip(x, 0.0, 1.0)
     return x**4 * (35.0 - 84.0 * x + 70.0 * x**2 - 20.0 * x**3)
 
@@ -263,7 +263,7 @@ def validate(
 
 
 def _follow(geometry: RRSGeometry, poses: Floats, q: Floats) -> float:
-    """Largest error of forward kinematics that knows only the first pose and then the joints."""
+    """Largest error of forward kinematics that is given only the first pose and the joints."""
     worst, pose = 0.0, poses[0]
     for angles, expected in zip(q, poses, strict=True):
         pose, _, converged = rrs.forward(angles, pose, geometry)

@@ -89,7 +89,7 @@ class _Cost:
         lambda1, lambda2 = float(x[0]), float(x[1])
         value = self.value(lambda1, lambda2)
         self.path.append((lambda1, lambda2, value if value >= 0.0 else math.nan))
-        # A broken constraint costs more than any design that meets them, and more the further off.
+        # A broken constraint costs more than any feasible design, and more the further it is off.
         return -value if value >= 0.0 else 1.0 - 10.0 * value
 
 
@@ -134,8 +134,8 @@ def optimize(
             once, and is converged: the area changes in steps of a cell.
         seed: of the jitter, one draw per cell that is kept for the whole run; None for the
             cells' centres.
-        max_evaluations: of the objective, unless the simplex is smaller than 1e-4 in lambda and in
-            value before.
+        max_evaluations: limit on evaluations of the objective; the search ends earlier once the
+            simplex is smaller than 1e-4 in lambda and in value.
 
     Raises:
         GeometryError: the start breaks the paper's constraints.
@@ -156,7 +156,7 @@ def optimize(
         check_integer("seed", seed, 0, error=DesignError)
     rng = None if seed is None else np.random.default_rng(seed)
     cost = _Cost(problem, objective, sample_points(problem, rng), constraints)
-    problem.geometry(*start)  # says which constraint a start breaks
+    problem.geometry(*start)  # its error names the constraint that a start breaks
     start_value = cost.value(*start)
     if start_value < 0.0:
         raise DesignError(
@@ -192,7 +192,7 @@ def optimize_globally(
     population: int = 12,
     generations: int = 30,
 ) -> Optimum:
-    """Maximize over the feasible box by differential evolution: is Nelder-Mead's the best?
+    """Maximize over the feasible box by differential evolution, as a check of Nelder-Mead.
 
     The initial design joins the first generation if it has a workspace. The end is polished by
     Nelder-Mead with a small simplex. The cells' centres are sampled. Problem, objective and
@@ -286,8 +286,8 @@ def atlas(
     value = np.empty((len(rows), len(columns)))
     for i, a in enumerate(rows):
         for j, b in enumerate(columns):
-            found = cost.value(float(a), float(b))
-            value[i, j] = found if found >= 0.0 else math.nan
+            attained = cost.value(float(a), float(b))
+            value[i, j] = attained if attained >= 0.0 else math.nan
         if progress is not None:
             progress(i + 1, len(rows))
     return Atlas(rows, columns, value)

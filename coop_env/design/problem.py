@@ -34,7 +34,7 @@ ETA: Final = round(0.5 * (INITIAL.characteristic_length + OPTIMIZED.characterist
 
 
 class DesignError(ValueError):
-    """A design problem that cannot be solved as posed; the message names the value and the mend."""
+    """A design problem that cannot be solved as posed; the message names the value and the fix."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +180,7 @@ def sample_points(problem: DesignProblem, rng: np.random.Generator | None = None
 
 
 def _samples(samples: Samples | None, problem: DesignProblem) -> Samples:
-    """The cells' centres, or what is given if it has a point in each of the problem's cells."""
+    """The given samples, checked to lie in their cells, or the cells' centres."""
     centres = sample_points(problem)
     if samples is None:
         return centres
@@ -227,7 +227,7 @@ def workspace_map(
 def _survey(
     geometry: RRSGeometry, problem: DesignProblem, samples: Samples, heave: float, whole: bool
 ) -> tuple[Floats, Floats, Bools]:
-    """sigma, kappa, and the admitted cells that edges connect with those about the centre."""
+    """sigma, kappa, and the admitted cells connected by edges with those about the centre."""
     p = problem.params(geometry)
     sigma, kappa, admitted = _survey_cells(*samples, heave, problem.threshold, p, whole)
     parts, _ = label(admitted)

@@ -1,4 +1,4 @@
-"""What the batched library does with arrays: checks at the door, then a kernel over all rows."""
+"""Arrays of the batched library: checks of arguments, and kernels over all rows."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ Bools = NDArray[np.bool_]
 
 
 class ShapeError(ValueError):
-    """An array whose last axis (or axes) is not what the function takes; the message names it."""
+    """An array with a wrong last axis, or two that do not broadcast; the message names them."""
 
 
 def as_points(name: str, value: ArrayLike, *components: str) -> Floats:
@@ -50,15 +50,15 @@ def over_rows(*kinds: str) -> Callable[[Callable[..., None]], Callable[..., list
     """Compile a loop over rows and let it fill arrays for a batch of any shape.
 
     The loop ``(params, *columns, *outputs)`` gets every component of its inputs as an array
-    ``(n,)`` and fills one array ``(n, ...)`` of each kind. What is called in its place takes the
-    params and the inputs ``(..., 3)``, which broadcast, and returns what was filled ``(..., ...)``.
+    ``(n,)`` and fills one array ``(n, ...)`` of each kind. The function that replaces it takes the
+    params and the inputs ``(..., 3)``, which broadcast, and returns the arrays ``(..., ...)``.
     """
 
     def decorate(loop: Callable[..., None]) -> Callable[..., list[Any]]:
         kernel, dtypes = njit(cache=True)(loop), [np.dtype(kind) for kind in kinds]
 
         def fill(params: Any, *inputs: Floats) -> list[Any]:
-            alike = len({a.shape for a in inputs}) == 1  # mostly, and NumPy takes its time
+            alike = len({a.shape for a in inputs}) == 1  # the usual case, and broadcasting is slow
             wide = inputs if alike else np.broadcast_arrays(*inputs)
             columns = np.array([column for a in wide for column in a.reshape(-1, 3).T], order="C")
             rows = [np.empty(columns.shape[1], dtype) for dtype in dtypes]

@@ -98,7 +98,7 @@ def forward(theta: ArrayLike, geometry: DeltaGeometry = DELTA) -> Forward:
 
 
 def is_valid(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Bools:
-    """Whether positions lie in the paper's W_Delta (sign slip mended) and all limbs reach.
+    """Whether positions lie in the paper's W_Delta (sign error corrected) and all limbs reach.
 
     ``z`` in ``[-(l_a + l_p), -|l_a - l_p|]`` and ``sqrt(x^2 + y^2) <= 0.8 min(l_a, l_p)``.
     Limbs of other lengths may reach places beyond a parallel singularity, which are not valid.

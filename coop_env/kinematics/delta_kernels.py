@@ -45,7 +45,7 @@ def limb_triangle(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tu
 
 @njit(cache=True)
 def limb_ik(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tuple[bool, float]:
-    """Actuated angle theta of a limb (rad, knee out), and whether it is real; NaN if it is not."""
+    """Whether a limb's actuated angle theta is real, and theta (rad, knee out; NaN if not)."""
     radial, k = limb_triangle(x, y, z, limb, p)
     if not abs(k) <= 1.0:
         return False, math.nan
@@ -54,7 +54,7 @@ def limb_ik(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tuple[bo
 
 @njit(cache=True)
 def inverse(x: float, y: float, z: float, p: DeltaParams) -> tuple[bool, Row]:
-    """Actuated angles (theta0, theta1, theta2), rad, and whether all three are real."""
+    """Whether all three actuated angles are real, and (theta0, theta1, theta2), rad."""
     ok0, t0 = limb_ik(x, y, z, 0, p)
     ok1, t1 = limb_ik(x, y, z, 1, p)
     ok2, t2 = limb_ik(x, y, z, 2, p)
@@ -85,7 +85,7 @@ def _knee_below(x: float, y: float, z: float, limb: int, p: DeltaParams) -> Row:
 
 @njit(cache=True)
 def forward(theta: Row, p: DeltaParams) -> tuple[bool, Row]:
-    """Effector centre of three actuated angles, m, and whether the limbs meet; NaN if not.
+    """Whether the limbs of three actuated angles meet, and the effector's centre, m (NaN if not).
 
     The spheres of radius l_p about the three moved knees meet in two points, mirror images in the
     knees' plane; of the two assembly modes this is the one in which the effector hangs at home.
@@ -134,7 +134,7 @@ def _limb_row(
 
 @njit(cache=True)
 def within_limits(x: float, y: float, z: float, p: DeltaParams) -> bool:
-    """Whether a position lies in the paper's W_Delta, its sign slip mended (NaN does not).
+    """Whether a position lies in the paper's W_Delta, its sign error corrected (NaN does not).
 
     The paper's upper bound on z, -(l_a - l_p), is above the base; -|l_a - l_p| is meant.
     """

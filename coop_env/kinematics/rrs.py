@@ -97,7 +97,7 @@ def platform_pose(
 def parasitic(
     pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
 ) -> Floats:
-    """The motion that nobody commands: (x, y, yaw) ``(..., 3)`` in m, m, rad.
+    """Parasitic motion (x, y, yaw) ``(..., 3)`` in m, m, rad, which nobody commands.
 
     yaw is psi in ``R = Rx(roll) Ry(pitch) Rz(psi)``; all three are zero in the paper's model.
 

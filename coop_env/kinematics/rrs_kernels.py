@@ -133,7 +133,7 @@ def limb_points(pose: Pose, q: float, limb: int, p: RRSParams) -> tuple[Row, Row
 
 @njit(cache=True)
 def inverse(pose: Pose, p: RRSParams) -> tuple[bool, Row]:
-    """Actuated angles (q0, q1, q2) of a pose, rad, and whether all three are real."""
+    """Whether all three actuated angles of a pose are real, and (q0, q1, q2), rad."""
     ok0, q0 = limb_ik(pose, 0, p)
     ok1, q1 = limb_ik(pose, 1, p)
     ok2, q2 = limb_ik(pose, 2, p)
@@ -168,7 +168,7 @@ def is_valid(roll: float, pitch: float, heave: float, p: RRSParams) -> bool:
 
 @njit(cache=True)
 def _plane(pose: Pose, limb: int, platform_radius: float) -> tuple[Row, float, float]:
-    """Of a limb's plane the factors of (vx, vy, wz), and those of wx and wy, moved to the right."""
+    """A limb plane's factors of (vx, vy, wz), and those of wx and wy, moved to the right side."""
     tx, ty = -LIMB_SIN[limb], LIMB_COS[limb]
     r = joint_offset(pose, limb, platform_radius)
     return (tx, ty, r[0] * ty - r[1] * tx), r[2] * ty, -r[2] * tx  # as t_z = 0

@@ -1,4 +1,4 @@
-"""Linear algebra on vectors and 3 x 3 matrices as tuples, and what both robots' Jacobians say.
+"""Linear algebra on vectors and 3 x 3 matrices as tuples, and measures of Jacobians.
 
 Singular values come from one-sided Jacobi rotations. The closed form through the
 characteristic polynomial of J^T J is faster by a little but loses half the digits at a repeated
@@ -100,8 +100,8 @@ def manipulability(a: Matrix3, b: Row, sign: float) -> tuple[Matrix3, float, flo
 def is_manipulable(a: Matrix3, b: Row, sign: float, threshold: float) -> bool:
     """Whether the signed sigma_min of :func:`manipulability` is at least a positive threshold.
 
-    It is where ``J^T J - threshold^2`` is positive definite, which its leading minors tell in a
-    fraction of the time.
+    That is so if det A has the given sign and ``J^T J - threshold^2`` is positive definite, which
+    its leading minors show in a fraction of the time.
     """
     (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = a
     if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0 or determinant_3x3(a) * sign <= 0.0:

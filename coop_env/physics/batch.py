@@ -1,4 +1,4 @@
-"""Episodes side by side on one kind of machine: what both tasks share.
+"""Episodes side by side on one kind of machine: the part that both tasks share.
 
 A batch of one is what a single environment plays, so it and the vector form agree to the last bit.
 """
@@ -38,13 +38,13 @@ TRIES: Final = 20
 MAX_FRICTION: Final = 2.0
 PRIVILEGED: Final = MappingProxyType(
     {
-        "tip - mouth": (3, 1.0),  # in the unit of the observation's own
+        "tip - mouth": (3, 1.0),  # in the observation's unit of length
         "normal": (3, 1.0),
         "force": (3, 10.0),  # N, without noise
         "moment": (3, 0.05),  # N m
         "friction": (1, 1.0),
         "base": (4, 0.05),  # the hole's displacement along x, y, 0.05 m, and tilts, rad
-        "lengths": (8, 0.01),  # relative errors from here on, of the 3-RRS and the Delta
+        "lengths": (8, 0.01),  # relative errors of the 3-RRS and the Delta, as are the next three
         "gains": (6, 1.0),
         "masses": (len(MASSES), 1.0),
         "friction's error": (1, 1.0),
@@ -55,7 +55,7 @@ PRIVILEGED: Final = MappingProxyType(
         "force noise": (1, 1.0),  # N
     }
 )
-"""Fields of the privileged state: how many, and what one is; really so, world frame."""
+"""Fields of the privileged state: size and unit of each; true values, world frame."""
 PRIVILEGED_UNITS: Final[Floats] = np.repeat(
     [unit for _, unit in PRIVILEGED.values()], [size for size, _ in PRIVILEGED.values()]
 )
@@ -70,9 +70,9 @@ class PhysicsBatch(ABC):
 
     n_observed: int
     length_unit = 0.01
-    """Of the observation, m."""
+    """Unit of length in the observation, m."""
     increments: Floats
-    """What one is of each increment (6,); m and rad."""
+    """Size of each increment (6,); m and rad."""
     outcome: tuple[Any, Floats, Bools, Bools, dict[str, Any]]
     """Observation, reward, terminated, truncated and info of the last step, a row each."""
 
@@ -119,7 +119,7 @@ class PhysicsBatch(ABC):
         self._geared = np.zeros((n, N_AXES))  # joint commands behind the play
         self._askew = np.zeros(n)  # by link errors the platform is off its command from the start
         self.insertion = np.zeros((n, 4))
-        """Where things really are, as :func:`coop_env.physics.kernels.insertion` has it."""
+        """True depth and errors of the tip: :func:`coop_env.physics.kernels.insertion`, (n, 4)."""
 
     @abstractmethod
     def check_options(self, options: Any) -> Any:
@@ -131,11 +131,11 @@ class PhysicsBatch(ABC):
 
     @abstractmethod
     def step(self, actions: Floats) -> None:
-        """Move all episodes by increments (n, 6) in [-1, 1]; ``outcome`` is what it came to."""
+        """Move all episodes by increments (n, 6) in [-1, 1]; writes ``outcome``."""
 
     @abstractmethod
     def observe(self, rows: slice) -> NDArray[np.float32]:
-        """Observations of rows (n, fields), with noise that is drawn now."""
+        """Observations of rows (n, fields), with newly drawn noise."""
 
     def seen(self, rows: slice) -> Any:
         """Observations of rows: arrays, or with ``privileged`` dictionaries of them."""
@@ -143,9 +143,9 @@ class PhysicsBatch(ABC):
         return {"observation": own, "privileged": self.privileged(rows)} if self.is_dict else own
 
     def privileged(self, rows: slice) -> NDArray[np.float32]:
-        """(n, 44): what no controller knows, for a critic; see ``PRIVILEGED``."""
+        """Privileged state (n, 44), for a critic; see ``PRIVILEGED``."""
         now, radius = self.twin.readings(), self.machine.task.dome_radius
-        # einsum would round by the number of rows
+        # the rounding of einsum would depend on the number of rows
         normals = (now.rotation[rows] * self._hole_normals[self.hole[rows], None]).sum(axis=2)
         tips = now.tip[rows] - now.platform[rows] - radius * normals
         parts = [tips / self.length_unit, normals, self._wrench[rows], self.friction[rows, None],
@@ -159,7 +159,7 @@ class PhysicsBatch(ABC):
         return "success" if won else self.failure[row] or "running"
 
     def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
-        """Every body of a scene, where it really is; links as the measured joints close them."""
+        """Every body at its true place; links follow from the measured joints."""
         if self.rngs[row] is None:
             raise ResetNeeded("call reset() first: there is no state yet")
         machine, readings, base = self.machine, self.twin.readings(), self.twin.base[row]
@@ -218,7 +218,7 @@ class PhysicsBatch(ABC):
     def _disturb(
         self, row: int, start: Floats, base: list[float], rng: np.random.Generator
     ) -> None:
-        """Draw a machine that can stand where it starts, free; ``rng`` serves nothing else."""
+        """Draw a machine that stands at ``start`` without contact; ``rng`` serves nothing else."""
         for _ in range(TRIES):
             errors = draw_disturbance(self.knobs, rng)
             try:
@@ -240,7 +240,7 @@ class PhysicsBatch(ABC):
         )
 
     def _carried_out(self, led: Floats) -> Floats:
-        """What reaches the joints (n, substeps, 6) of commands (n, 1 or substeps, 6)."""
+        """The commands (n, 1 or substeps, 6) as they reach the joints (n, substeps, 6)."""
         now = np.broadcast_to(led, self._late.shape)
         late, resolution, play = (
             np.array([getattr(errors, name) for errors in self.disturbances])[:, None, None]
@@ -250,14 +250,14 @@ class PhysicsBatch(ABC):
         self._late = now.copy()
         counts = np.where(resolution, resolution, 1.0)
         result = np.where(resolution, counts * np.round(result / counts), result)
-        for k in range(result.shape[1]):  # a joint goes as far as its play makes it
+        for k in range(result.shape[1]):  # a joint moves once its play is taken up
             least, most = result[:, k] - play[:, 0] / 2.0, result[:, k] + play[:, 0] / 2.0
             self._geared = np.clip(self._geared, least, most)
             result[:, k] = self._geared
         return result
 
     def _advance(self, wanted: Floats) -> None:
-        """Make one control step towards configurations (n, 6), and measure what came of it."""
+        """Make one control step towards configurations (n, 6), and measure its results."""
         task, before = self.task, self._targets
         targets, self.taken = joints_of(wanted, self._packed)
         taken = self.taken[:, None]
@@ -297,7 +297,7 @@ class PhysicsBatch(ABC):
         return np.ascontiguousarray(self.twin.readings().joints[rows])
 
     def perceived(self, rows: slice) -> tuple[Floats, Floats, Floats]:
-        """What a controller has to go by, with the sensors' noise, which is drawn now.
+        """What a controller perceives, with newly drawn sensor noise.
 
         The target (n, 5): tip - mouth, m, and x, y of its normal; joint angles (n, 6), rad; wrench
         on the peg (n, 6), N, N m.
@@ -308,7 +308,7 @@ class PhysicsBatch(ABC):
         return view, joints, self._wrench[rows] + np.array(draws) * self._noise[rows]
 
     def _near(self, rows: slice) -> Floats:
-        """Configurations (n, 6) near by, from which the 3-RRS's branch is followed."""
+        """Nearby configurations (n, 6), from which the 3-RRS's branch is followed."""
         return self.command[rows].copy()
 
     def _felt(self, rows: slice) -> Floats:
@@ -318,7 +318,7 @@ class PhysicsBatch(ABC):
         return np.concatenate([view, joints, wrench, command, self._action[rows]], axis=1)
 
     def _terms(self, name: str, gained: Floats, inserted: Bools) -> dict[str, Floats]:
-        """Reward terms (n,) of a step; a failure gains nothing and never saves any steps."""
+        """Reward terms (n,) of a step; a failure gains nothing and saves no step costs."""
         task, failed = self.task, self.failure != ""
         steps = np.where(failed, self.max_steps - self.steps + 1, 1)
         terms = {
@@ -331,7 +331,7 @@ class PhysicsBatch(ABC):
         return {name: self.reward_scale * term for name, term in terms.items()}
 
     def _conclude(self, terms: dict[str, Floats], over: Bools) -> None:
-        """Write the step's outcome; truncates what is not over by then."""
+        """Write the step's outcome; truncate episodes at their last step."""
         truncated = ~over & (self.steps >= self.max_steps)
         self.failure[truncated] = "time"
         reward = sum(terms.values(), np.zeros(self.n))
@@ -361,7 +361,7 @@ class PhysicsBatch(ABC):
 
 
 def row_of(columns: Any, row: int) -> Any:
-    """One episode's own copy of ``info``, or of what is observed."""
+    """One episode's own copy of ``info`` or of its observation."""
     if isinstance(columns, Mapping):
         return {name: row_of(part, row) for name, part in columns.items()}
     return columns[row].copy() if columns.ndim > 1 else columns.item(row)

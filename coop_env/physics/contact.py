@@ -13,7 +13,7 @@ from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.task import N_AXES
 
 UNITS: Final = np.repeat([0.01, 0.05, 0.05, 10.0, 0.05, 0.01, 0.05, 0.01, 1.0], OBSERVED)
-"""What 1 means in each of the contact task's 29 fields: m, rad, N, N m."""
+"""Units of the contact task's 29 fields: m, rad, N, N m."""
 
 
 def in_units(fields: Floats) -> NDArray[np.float32]:

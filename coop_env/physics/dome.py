@@ -88,7 +88,7 @@ def dome_solids(task: InsertionTask, bore: Bore) -> Iterator[tuple[str, Vertices
 
 
 def _check_holes(normals: NDArray[np.float64], bore: Bore, radius: float, half: float) -> None:
-    """Whether spot faces, ``half`` rad wide, and bores stay clear of each other and of the rim."""
+    """Check that spot faces, ``half`` rad in radius, and bores clear each other and the rim."""
     nearest = math.inf
     for i, a in enumerate(normals):
         if a[2] < math.sin(1.2 * half):

@@ -1,4 +1,4 @@
-"""A machine behind three methods, the twin as the first of them, and a policy that drives it."""
+"""A machine as three methods, the twin behind them, and a policy that drives it."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -24,11 +24,11 @@ MachinePolicy = Callable[[Any, Any], Any]
 
 
 class DriverError(RuntimeError):
-    """A machine that does not answer, or answers nonsense; its last command holds."""
+    """The machine does not answer, or its answer is invalid; its last command holds."""
 
 
 class Driver(Protocol):
-    """What drives a machine: the real one is a class of these three methods."""
+    """Interface of a machine: a real one is a class with these three methods."""
 
     def command(self, trajectory: Trajectory) -> None:
         """Carry the trajectory out, from where the machine stands; returns at its end."""
@@ -57,7 +57,7 @@ class TwinDriver:
         self.errors: Floats = np.zeros((0, N_AXES))
         """Measured minus commanded angles (samples, 6) of the last trajectory, rad."""
         self.torques: Floats = np.zeros((0, N_AXES))
-        """Of the six servos by their law (samples, 6) in the last trajectory, N m."""
+        """Torques of the six servos (samples, 6) in the last trajectory, by their law, N m."""
 
     def place(self, configuration: ArrayLike) -> None:
         """Set the machine down at rest at a configuration (6,).
@@ -101,7 +101,7 @@ class TwinDriver:
         return self._force
 
     def miss(self, hole: int) -> tuple[float, float]:
-        """Where the peg really is: m from its tip to a hole's mouth, rad between their axes."""
+        """The peg's true errors: its tip's distance from a hole's mouth, m, and tilt to it, rad."""
         now, task = self.twin.readings(), self.twin.machine.task
         normal = now.rotation[0] @ task.hole_normals[hole]
         gap = now.tip[0] - now.platform[0] - task.dome_radius * normal
@@ -109,7 +109,7 @@ class TwinDriver:
 
 
 class Replayed(NamedTuple):
-    """How a policy drove a machine; ``stopped`` is ``"filled"`` or says why it went no further."""
+    """How a policy drove a machine; ``stopped`` is ``"filled"`` or the reason why it stopped."""
 
     stopped: str
     filled: list[int]
@@ -229,7 +229,7 @@ def _stand(driver: Driver, m: Machine, near: Sequence[float] | Floats, patience:
 
 
 def _off(driver: Driver, joints: Floats, patience: float) -> float:
-    """By how much the worst measured joint is off, rad."""
+    """Largest error of a measured joint, rad."""
     return float(np.abs(_numbers(driver.joints, N_AXES, patience) - joints).max())
 
 
@@ -245,7 +245,7 @@ def _numbers(call: Callable[[], Any], n: int, seconds: float) -> Floats:
 
 
 def _ask(call: Callable[..., Any], *arguments: Any, seconds: float) -> Any:
-    """What a call returns or raises, waited for so long in a thread of its own."""
+    """Result of a call in its own thread, or its error; DriverError after ``seconds``."""
     answer: Future[Any] = Future()
 
     def work() -> None:

@@ -66,7 +66,7 @@ class PhysicsRow(Rendered):
         return row_of(self.batch.seen(slice(row, row + 1)), 0), info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What the batch's last control step came to."""
+        """The outcome of the batch's last control step."""
         seen, reward, terminated, truncated, info = (
             row_of(part, self._row) for part in self.batch.outcome
         )
@@ -76,7 +76,7 @@ class PhysicsRow(Rendered):
         return seen, reward, terminated, truncated, info
 
     def scene(self) -> Scene:
-        """Every body of the scene at this instant, where it really is; world frame."""
+        """Every body of the scene at this instant, at its true place; world frame."""
         return self.batch.scene(self._row, self._trace)
 
     def close(self) -> None:
@@ -121,7 +121,7 @@ class PhysicsEnv(PhysicsRow):
 
     @property
     def increments(self) -> Floats:
-        """What one is of each increment (6,); m and rad."""
+        """Size of each increment (6,); m and rad."""
         return self.batch.increments
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Every joint of the twin's tree for a configuration, from the analytic kinematics.
+"""All joint angles of the twin's tree at a configuration, from the analytic kinematics.
 
 The tree hangs the platform on the 3-RRS's limb 0 by a ball joint and the Delta's effector on three
 slides; the other limbs' ends are tied to them. A rod of the Delta is one link on a universal joint,

@@ -1,7 +1,7 @@
 """Compiled functions that run on each row between two calls of the engine.
 
-``take`` and what follows it are the kinematic model's side of a move that the twin has made; no
-collision stops it there. ``packed`` is :func:`coop_env.simulation.task.pack` of the machine.
+``take`` and the kernels after it keep the kinematic model in step with the twin's moves; no
+collision stops it. ``packed`` is :func:`coop_env.simulation.task.pack` of the machine.
 """
 
 import math
@@ -59,7 +59,7 @@ def insertion(
 ) -> np.ndarray:  # fmt: skip
     """(n, 4): depth of the tip below the real mouth, distance from the axis, m; misalignment, rad.
 
-    Beside the mouth, ``mouth_radius`` wide, depth stops at zero; the last column does not, m.
+    Outside ``mouth_radius`` depth is at most 0; the last column is depth without that limit, m.
     ``tip`` (n, 3), ``platform`` (its centre, n, 3) and ``rotation`` (n, 3, 3): world frame.
     """
     p = unpack(packed)

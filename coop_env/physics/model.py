@@ -40,7 +40,7 @@ CONTACT_TIME: Final = 0.005
 DELTA_RANGE: Final = (-math.pi, math.pi)
 """Range of the Delta's actuated angles, wider than any Delta's workspace; rad."""
 LOOP_TIME: Final = 0.004
-"""Time constant of the ties that close loops, s; the stiffest that TIMESTEP can have."""
+"""Time constant of the ties that close loops, s; the least that TIMESTEP allows."""
 _PLAY_DAMPING: Final = 0.005  # of the effector's tilt within its play, N m s/rad
 _DELTA_BITS: Final = {"contype": 1, "conaffinity": 0}  # the Delta's bodies touch the 3-RRS's alone
 _RRS_BITS: Final = {"contype": 0, "conaffinity": 1}
@@ -161,7 +161,7 @@ class Machine:
         Raises:
             GeometryError: a robot cannot be assembled there.
         """
-        self.kernel_params()  # says what is wrong with the 3-RRS
+        self.kernel_params()  # its error says what is wrong with the 3-RRS
         height = (
             self.rrs.home_heave + self.task.dome_radius + float(np.mean(self.task.start_clearance))
         )
@@ -200,8 +200,8 @@ def build_mjcf(machine: Machine) -> ET.Element:
         root, "option", timestep=machine.timestep, integrator="implicitfast", solver="Newton",
         cone="elliptic", impratio=5, ccd_tolerance=1e-8, ccd_iterations=100,
     )  # fmt: skip
-    # by default a peg that slides from one stave to the next may be taken for 3 mm deep in its side
-    # a simulation that diverges is to be seen as such; islands cost more than they save here
+    # with the default ccd_tolerance a peg sliding over two staves may seem to be 3 mm deep in one
+    # divergence must show; islands cost more than they save here
     _add(option, "flag", autoreset="disable", island="disable")
     default = _add(root, "default")
     _add(
@@ -223,7 +223,7 @@ def build_mjcf(machine: Machine) -> ET.Element:
 
 
 def _add_servos(root: ET.Element, m: Machine, at_home: list[float]) -> None:
-    """Commands count from home, so that an opened model, with all of them at zero, stands still."""
+    """Add the servos; commands count from home, so that a model opened with zeros stands still."""
     actuator, limit = _add(root, "actuator"), m.servos.torque_limit
     kp, kv = m.servos.gains
     for k, (robot, i) in enumerate(product(("delta", "rrs"), range(3))):
@@ -354,7 +354,7 @@ def _add_delta(world: ET.Element, m: Machine, angles: TreeAngles, home: Floats) 
 
 
 def _add_peg(effector: ET.Element, m: Machine, mass: float) -> None:
-    """A body of its own, though it never moves on the effector: between them forces are sensed."""
+    """Add the peg, fixed to the effector but a body of its own: forces between both are sensed."""
     length, radius = m.delta.peg_length, m.delta.peg_radius
     body = _body(effector, "peg", m)
     end = radius if m.peg.tip == "capsule" else 0.0

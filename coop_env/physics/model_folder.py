@@ -1,4 +1,4 @@
-"""A model folder as MuJoCo's Menagerie has them: the MJCF, and a README that says what is in it."""
+"""A model folder as in MuJoCo's Menagerie: the MJCF, and a README that describes it."""
 
 from collections.abc import Iterator
 from pathlib import Path

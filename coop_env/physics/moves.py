@@ -22,9 +22,9 @@ from coop_env.simulation.observation import observe_batch
 from coop_env.simulation.task import N_AXES
 
 SETTLING: Final = 4
-"""Control steps that each leg of the way to a hole takes at least, and rest above it."""
+"""Least control steps of each leg of the way to a hole, and of the rest above it."""
 ROOM: Final = 0.005
-"""By which the tip passes above where the contact task begins, m."""
+"""Height of the tip's path above where the contact task begins, m."""
 TOUCH: Final = 10.0
 """A mean force beyond this stops a move, N; at weak holes 15 N may push the 3-RRS over."""
 Policy = Callable[[Any], Any]
@@ -108,7 +108,7 @@ class Lead(WholeBatch):
 
 
 def _within(answer: Any) -> Floats:
-    """What a finish answers as increments (6,) within [-1, 1]."""
+    """A finish's answer as increments (6,) within [-1, 1]."""
     try:
         result = np.asarray(answer, np.float64)
     except (TypeError, ValueError):
@@ -222,7 +222,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         return self._seen(observation), reward, terminated, truncated, self._merge(info)
 
     def step_batch(self, *_: Any) -> None:
-        """Make the move on the twin, and write what a kernel would."""
+        """Make the move on the twin, and write the outputs that a kernel would."""
         body, row = self.physics, self._states[0]
         filled, was_inside = body.filled[0].copy(), row["inside"].astype(bool)
         try:

@@ -25,7 +25,7 @@ from coop_env.physics.model import CONTACT_TIME, TIMESTEP, Machine, Peg
 Options = dict[str, Any]
 STANDARD_PEG: Final = Peg()
 HEAVE_ROOM: Final = 0.005
-"""By which heave can go up and down from every start, m."""
+"""Room for heave, up and down, at every start, m."""
 _LARGEST: Final = {"position_error": 0.02, "tilt_error": 0.1, "effector_play": 0.1}  # m, rad
 _LARGEST_ERROR: Final = (0.02, 0.02, 0.1, 0.1)  # of the option, m and rad
 OWN_OPTIONS: Final = ("error", "friction")
@@ -156,7 +156,7 @@ def resolve_task(value: Any) -> ContactTask:
 
 
 def draw_error(task: ContactTask, rng: np.random.Generator) -> Floats:
-    """Where a hole really is (4,): displacement along x, y, m, and tilt about x, y, rad."""
+    """A random error of a hole (4,): displacement along x, y, m, and tilt about x, y, rad."""
     radius, bearing, lean, side = rng.random(4)
     bearing, side = 2.0 * np.pi * bearing, 2.0 * np.pi * side
     offset = task.position_error * np.sqrt(radius)  # uniform over the disc
@@ -166,7 +166,7 @@ def draw_error(task: ContactTask, rng: np.random.Generator) -> Floats:
 
 
 def askew(error: Floats, pivot: Floats) -> list[float]:
-    """Where the 3-RRS's base stands for such an error: tilted about a point, then moved aside."""
+    """Place of the 3-RRS's base for an error: tilted about ``pivot``, then displaced."""
     turn = roll_pitch_yaw_matrix([*error[2:], 0.0])
     aside = np.array([*error[:2], 0.0])
     return [*(pivot + aside - turn @ pivot), *error[2:]]

@@ -1,4 +1,4 @@
-"""The compiled model, moved: n machines side by side, stepped by MuJoCo's own threads.
+"""The simulation: n machines side by side, stepped by MuJoCo's own threads.
 
 One machine is a batch of one, so the single environment and the vectorised one run the same code
 and come to the same last bit.
@@ -32,7 +32,7 @@ _SETTLING = 1.0  # s in which servos have to show that they hold home
 
 
 class Readings(NamedTuple):
-    """What the sensors say, with any leading axes; N, N m, rad, m, world frame.
+    """Sensor readings, with any leading axes; N, N m, rad, m, world frame.
 
     ``wrench`` is what the peg does to the effector, force and moment about the tip, by contact and
     its own weight, in the peg's frame. ``joints`` are theta and q. ``tip``, ``platform`` (its
@@ -86,7 +86,7 @@ class Twin:
         self._nominal = first = make_model(self.machine)
         self.models: list[Any] = [copy.copy(first) for _ in range(n)]
         self.machines = [self.machine] * n
-        """What each really is; ``machine`` is what all are believed to be."""
+        """The true machines; ``machine`` is the nominal one of all."""
         self._start_threads(check_integer("threads", threads, 1))
         self._base, self._peg = first.body("rrs_base").id, first.geom("peg").id
         self.states: Floats = np.zeros((n, mujoco.mj_stateSize(first, _STATE)))
@@ -106,7 +106,7 @@ class Twin:
         self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled and copied: everything but threads, and what they work on."""
+        """The state to pickle and copy: everything but threads and their data."""
         return {**self.__dict__, "_data": None, "_pool": None, "_threads": len(self._data)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -115,7 +115,7 @@ class Twin:
         self._start_threads(threads)
 
     def disturb(self, row: int, errors: Disturbance) -> None:
-        """Give one machine errors; :meth:`place` has to set it down then.
+        """Give one machine errors; call :meth:`place` after it.
 
         Raises:
             GeometryError: links of such lengths cannot be assembled at home.
@@ -134,7 +134,7 @@ class Twin:
             bodies = [i for i in range(model.nbody) if model.body(i).name.startswith(name)]
             model.body_mass[bodies] *= factor
             model.body_inertia[bodies] *= factor
-            model.body_gravcomp[bodies] /= factor  # what carries them knows the nominal mass
+            model.body_gravcomp[bodies] /= factor  # gravity compensation knows the nominal mass
         mujoco.mj_setConst(model, self._data[0])
 
     def joint_positions(self, configuration: ArrayLike, machine: Machine | None = None) -> Floats:
@@ -195,7 +195,7 @@ class Twin:
         return _readings(self._sensors[row].copy())
 
     def _stand(self, model: Any, base: ArrayLike) -> Floats:
-        """Put a model's 3-RRS on its base (5,); returns how that is turned."""
+        """Put a model's 3-RRS on its base (5,); returns the base's rotation (3, 3)."""
         x, y, z, roll, pitch = np.asarray(base, np.float64)
         turn = roll_pitch_yaw_matrix([roll, pitch, 0.0])
         model.body_pos[self._base] = x, y, z
@@ -203,9 +203,9 @@ class Twin:
         return turn
 
     def overlap(self, configuration: ArrayLike, base: ArrayLike) -> tuple[str, str] | None:
-        """Two bodies of the nominal machine that touch at a configuration (6,), None if it is free.
+        """Two bodies of the nominal machine that touch at a configuration (6,), None if none do.
 
-        The kinematic model does not know all of them. No machine of the twin moves.
+        The kinematic model lacks some of them. No machine of the twin moves.
         """
         model = copy.copy(self._nominal)
         self._stand(model, base)
@@ -219,13 +219,13 @@ class Twin:
         return one, other
 
     def readings(self) -> Readings:
-        """What the sensors of all machines said last, (n, ...)."""
+        """The last readings of all machines, (n, ...)."""
         return _readings(self._sensors.copy())
 
     def inspect(self, row: int) -> tuple[Any, Any]:
         """MuJoCo's own model and data of one machine now, all quantities computed.
 
-        The data serve whatever moves next, so what is to stay has to be copied.
+        Later calls of the twin reuse the data: copy what is to stay.
         """
         model, data = self.models[row], self._data[0]
         mujoco.mj_setState(model, data, self.states[row], _STATE)
@@ -235,7 +235,7 @@ class Twin:
         return model, data
 
     def advance(self, targets: ArrayLike, steps: int) -> Readings:
-        """Move all machines for so many timesteps; ``diverged`` says which of them blew up.
+        """Move all machines for ``steps`` timesteps; ``diverged`` says which of them diverged.
 
         Those stay where they were, with the sensors' last good readings.
 
@@ -255,7 +255,7 @@ class Twin:
         controls = np.ascontiguousarray(np.broadcast_to(held, (self.n, steps, N_AXES)))
         states = np.empty((self.n, steps, self.states.shape[1]))
         sensors = np.empty((self.n, steps, self._sensors.shape[1]))
-        log = mujoco.get_mju_user_warning()  # its file in the working directory: not here
+        log = mujoco.get_mju_user_warning()  # the default one writes a file to the folder
         mujoco.set_mju_user_warning(lambda _: None)
         try:
             self._pool.rollout(
@@ -302,7 +302,7 @@ class Twin:
         self._pool = None
 
     def _check_hold(self, home: Floats) -> None:
-        """Whether the servos hold home within what the task calls inserted."""
+        """Check that the servos hold home within the task's insertion tolerances."""
         task, start, read = self.machine.task, self.states.copy(), self._sensors.copy()
         result = last(self.advance(self._home_angles, round(_SETTLING / self.machine.timestep)))
         sag, sunk, lean = (off[0] for off in self.errors(result, np.tile(home, (self.n, 1))))
@@ -336,7 +336,7 @@ def closed_at(joints: ArrayLike, previous: ArrayLike, machine: Machine) -> Float
 
 
 def _resized(machine: Machine, factors: Floats) -> Machine:
-    """The machine with its lengths times (8,), in the order of ``machine.MACHINE``."""
+    """The machine with its lengths times ``factors`` (8,), ordered as in MACHINE's ``lengths``."""
     if (factors == 1.0).all():
         return machine
 

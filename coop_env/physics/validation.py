@@ -1,4 +1,4 @@
-"""The twin held against the analytic kinematics: drive it to poses and see where it comes to rest.
+"""Validation of the twin against the analytic kinematics: drive it to poses, measure the errors.
 
 Poses are start states of the kinematic task. The servos are led there from home in a straight line
 of configurations, so the twin has to find each pose by closing its loops.
@@ -59,7 +59,7 @@ def validate(twin: Twin, poses: Floats) -> Validation:
         batch = poses[first : first + twin.n]
         goals = np.concatenate([batch, np.broadcast_to(home, (twin.n - len(batch), 6))])
         for row in range(twin.n):
-            twin.joint_positions(goals[row])  # says what is out of reach
+            twin.joint_positions(goals[row])  # its error names what is out of reach
             twin.place(row, home)
         way = home + fraction * (goals[:, None] - home)
         readings = last(twin.advance(twin.servo_targets(way), len(fraction)))

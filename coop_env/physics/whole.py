@@ -41,7 +41,7 @@ class WholeBatch(PhysicsBatch):
         self.given_up: list[list[int]] = [[] for _ in range(n)]
         self.inserted = np.full(n, -1)
         self.distance, self.aimed = np.zeros(n), np.zeros((n, 2))
-        """From the tip to the target's mouth, m; that and the misalignment at an insertion."""
+        """Tip to target's mouth (n,), m; that and the angle, rad, at the last insertion (n, 2)."""
 
     def check_options(self, options: Any) -> tuple[Options, Options]:
         own, rest = split_options(options)
@@ -49,7 +49,7 @@ class WholeBatch(PhysicsBatch):
         return own, rest
 
     def require_free(self, configuration: Any, own: Options) -> None:
-        """Refuse a start that is given, and in which bodies of the nominal machine overlap."""
+        """Refuse a given start in which bodies of the nominal machine overlap."""
         if configuration is None:
             return
         base = askew(own.get("error", np.zeros(4)), self._pivot)
@@ -89,7 +89,7 @@ class WholeBatch(PhysicsBatch):
     def advance(self, wanted: Floats) -> None:
         """One control step, in which joints are led evenly to configurations (n, 6).
 
-        A hole that it fills is ``inserted``, else that is -1; the next one is the target then.
+        ``inserted`` becomes the hole that was filled, or -1; after a fill the target is the next.
         """
         self._advance(wanted)
         self.inserted[:] = -1

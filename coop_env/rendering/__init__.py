@@ -17,7 +17,7 @@ __all__ = ["CAMERAS", "Camera", "frame_view", "render_frame"]
 
 
 def __getattr__(name: str) -> Any:
-    """What draws is loaded when it is asked for: the environment needs the scene alone."""
+    """Load renderers at first use: the environment needs only the scene."""
     if name not in ("frame_view", "render_frame"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module("coop_env.rendering.frame"), name)

@@ -44,11 +44,11 @@ COLOURS: Final = MappingProxyType(
         "trace": to_rgb("#d1457b"),
     }
 )
-"""Display colours (sRGB, 0 to 1) by what they mark."""
+"""Display colours (sRGB, 0 to 1) by meaning."""
 
 SIDES: Final = MappingProxyType({"left": -1.0, "right": 1.0})  # of the limb's plane, of the rods
 ROD_SPACING: Final = 0.017  # half the distance between a forearm's two rods, m
-_BORE: Final = 1.375  # radius of a hole as drawn, of the peg's
+_BORE: Final = 1.375  # radius of a drawn hole over the peg's
 _RING: Final = 0.003  # least width of the ring about it, m
 _LIFT: Final = 0.0006  # marks stand this proud of the dome, m
 
@@ -192,7 +192,7 @@ def hole_bodies(scene: Scene) -> Iterator[Body]:
             at, name = scene.hole_mouths[index], f"platform/plug{index}"
             yield Body(name, plug, turn, at, COLOURS["filled"])
         elif state == "target":
-            # beyond the peg's way in, so that it never hides the tip
+            # 12 mm above the mouth, so that the arrow never hides a tip that enters
             start = scene.hole_mouths[index] + 0.012 * normal
             mesh = shapes.arrow(0.055, 0.0017)
             yield Body("target/normal", mesh, turn, start, COLOURS["target"], 0.0, shines=True)

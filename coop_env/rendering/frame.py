@@ -1,4 +1,4 @@
-"""One scene to one picture, and beside it a card with its numbers and a close view of the dome."""
+"""One scene as a picture, with a card of its numbers and a close view of the dome."""
 
 import math
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ MIN_WIDTH: Final = 400  # px; a smaller picture has no room to read a card
 SIGMA_FULL: Final = 1.0  # signed sigma_min at which the bar is full
 SIGMA_LOW: Final = 0.15  # the bar warns below the design's threshold (paper, A_w)
 STATUS_COLOURS: Final = {"running": MUTED, "success": GOOD, "timeout": WARN, "time": WARN}
-"""Of a status; every other one is a failure."""
+"""Colours by status; every other status is a failure."""
 
 _SIZE_LIMITS = (16, 8192)  # px
 

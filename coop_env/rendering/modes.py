@@ -1,4 +1,4 @@
-"""Gymnasium's render modes for an environment that can say what there is to see."""
+"""Gymnasium's render modes for an environment with a ``scene()``."""
 
 import copy
 from abc import ABC, abstractmethod
@@ -64,7 +64,7 @@ class Rendered(gym.Env[Any, Any], ABC):
         return render_frame(self.scene(), **self.render_kwargs)
 
     def _follow(self, tip: NDArray[Any], first: bool = False) -> None:
-        """Take note of where the tip is, after a reset or a step."""
+        """Record the tip's position after a reset or a step."""
         if first:
             self._trace = []
         self._trace.append(tip.copy())

@@ -72,7 +72,7 @@ _DISPLAY: Final = _display_table()
 
 
 class Shot(NamedTuple):
-    """What a pixel's colour depends on.
+    """All that a pixel's colour depends on.
 
     ``model`` has its vertices on the screen; ``lens`` is (focal length, centre column, centre row),
     all in samples.

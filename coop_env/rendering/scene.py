@@ -1,4 +1,4 @@
-"""What there is to see: every body of the scene as plain numbers, for renderers and figures."""
+"""The scene: every body as plain numbers, for renderers and figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -28,7 +28,7 @@ _ANGLES: Final = (3, 4)  # axes that the view shows in degrees
 
 
 class ViewerError(RuntimeError):
-    """The view cannot be opened; the message names the mend."""
+    """The view cannot be opened; the message names the fix."""
 
 
 def _check_address(host: str, port: int) -> None:
@@ -102,7 +102,7 @@ class Viewer:
             raise ViewerError(f"{type(env).__name__}: the view plays the twelve moves, in turn")
         _check_address(host, port)
         self.env = env
-        env.reset()  # what compiles has compiled before anyone can look
+        env.reset()  # kernels compile before anyone can look
         env.step(int(np.argmax(env.action_masks())))
         env.configuration_status(env.configuration)
         self._observation, _ = env.reset()
@@ -245,7 +245,7 @@ class Viewer:
         try:
             action = int(self._act(self._observation, self.env.action_masks()))
             self._observation, *_ = self.env.step(action)
-        except Exception as error:  # whatever a caller's policy raises belongs on the screen
+        except Exception as error:  # show whatever a caller's policy raises
             self.stop()
             self._refuse(f"playing stopped: {error}")
             return

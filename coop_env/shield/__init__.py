@@ -1,4 +1,4 @@
-"""A run-time shield: no action gets through that takes a robot's margins away."""
+"""A run-time shield: it lets no action through that breaks a robot's margins."""
 
 from coop_env.shield.shield import KinematicShield as KinematicShield
 from coop_env.shield.shield import ShieldedInsertionEnv as ShieldedInsertionEnv

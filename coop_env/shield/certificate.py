@@ -22,8 +22,8 @@ CHUNK = 64  # 3-RRS points between two reports of progress
 class Certificate(NamedTuple):
     """Certified configurations, certified moves there and back, harmful moves, dead ends.
 
-    On a harmful one's way, or at its end, the nominal machine collides, is singular, or leaves its
-    limits; a dead end is a certified configuration without a certified move.
+    On the way or at the end of a harmful move the nominal machine collides, is singular, or leaves
+    its limits. A dead end is a certified configuration without a certified move.
     """
 
     points: int
@@ -65,7 +65,7 @@ def _check(
             degree = 0
             for move in range(2 * N_AXES):
                 k = move // 2
-                # the way back is the same way: it is looked at only where there is no other
+                # ways back are counted with the ways there: look at one only to rule out a dead end
                 if move % 2 == 1 and degree > 0:
                     continue
                 a[k] = steps[k] * (1 - 2 * (move % 2))

@@ -1,4 +1,4 @@
-"""What a shield asks of a configuration, of a way and of an increment; scalar kernels."""
+"""A shield's tests of configurations, ways and increments; scalar kernels."""
 
 import math
 from typing import Final
@@ -62,8 +62,8 @@ def way_point(c: np.ndarray, a: np.ndarray, t: float) -> Configuration:
 
 @njit(cache=True)
 def pieces(a: np.ndarray) -> int:
-    """In how many pieces an increment (6,) is looked at."""
-    # what one robot does, and each of the platform's two motions, may add to the others
+    """Number of pieces in which an increment (6,) is checked."""
+    # motions of both robots, and the platform's two, may add up
     linear = (math.hypot(math.hypot(a[0], a[1]), a[2]) + abs(a[5])) / LINEAR_SPACING
     angular = math.hypot(a[3], a[4]) / ANGULAR_SPACING
     return max(1, math.ceil(linear + angular - 1e-9))

@@ -1,4 +1,4 @@
-"""A filter between a policy and the robots: what it lets through keeps its margins.
+"""A filter between a policy and the robots that lets through only what keeps its margins.
 
 :class:`KinematicShield` certifies, :class:`ShieldWrapper` puts it between an agent and its
 environment, and :class:`ShieldedInsertionVecEnv` is the task under its masks, in a batch.
@@ -150,7 +150,7 @@ class KinematicShield:
     def masks(own: NDArray[np.bool_], inner: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Masks (..., 12) of an environment's ``own`` and of the moves that keep all margins.
 
-        Where none is in both, those that keep the margins; where none does, the environment's.
+        Where no move is in both, the moves that keep the margins; without any, the environment's.
         """
         both = own & inner
         kept = np.where(inner.any(axis=-1, keepdims=True), inner, own)

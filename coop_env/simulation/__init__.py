@@ -1,1 +1,1 @@
-"""The task's state, and what a move makes of it."""
+"""The task's state, and its change by a move."""

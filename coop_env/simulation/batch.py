@@ -36,7 +36,7 @@ def step_batch(
 
 @njit(cache=True)
 def write_reset_outcome(s: Record, out: Record) -> None:
-    """The outcome before any move, from which a reset's ``info`` is made."""
+    """Write the outcome before any move, from which a reset's ``info`` is made."""
     out.success = out.inserted = out.collision = out.violation = False
     out.duplicate = out.singular = out.terminated = out.truncated = False
     out.n_filled = filled_holes(s)
@@ -72,7 +72,7 @@ def _info(
     collision: bool, violation: bool, duplicate: bool, singular: bool, sigma_min: float,
     alignment_error: float, distance: float, target: int, time: float, energy: float,
 ) -> dict[str, Any]:  # fmt: skip
-    """Of the reward's terms and a move's outcome; ``dict(zip(...))`` would take twice as long."""
+    """``info`` of the reward's terms and an outcome; ``dict(zip(...))`` takes twice as long."""
     return {
         "success": success, "is_success": success, "n_filled": n_filled, "all_filled": all_filled,
         "inserted": inserted, "inserted_hole": inserted_hole, "collision": collision,

@@ -1,7 +1,7 @@
 """Analytic collision test of the two robots, scalar kernels.
 
-Of the Delta, peg and forearms are capsules, the effector is a sphere. Of the 3-RRS, the dome is a
-sphere; both links and three spokes from the platform's centre to its spherical joints are capsules.
+The Delta's peg and forearms are capsules, its effector is a sphere. The 3-RRS's dome is a sphere;
+both links and three spokes from the platform's centre to its spherical joints are capsules.
 The peg may enter the dome through a hole's mouth, chamfer included.
 """
 
@@ -116,7 +116,7 @@ def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: En
     spoke, link = radius + p.layout.spoke_radius, radius + p.layout.limb_radius
     for limb in range(3):
         base, elbow, joint = rrs_kernels.limb_points(pose, q[limb], limb, p.rrs)
-        if p.task.imperfect:  # the pose is displaced already
+        if p.task.imperfect:  # the pose is already displaced
             base, elbow = on_base(base, p.task), on_base(elbow, p.task)
         if segment_distance(a, b, centre, joint) < spoke:
             return True
@@ -129,7 +129,7 @@ def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: En
 
 @njit(cache=True)
 def ceiling(heave: float, p: EnvParams) -> float:
-    """A height above which there is nothing of the 3-RRS, m."""
+    """A height above every part of the 3-RRS, m."""
     thick = max(p.layout.spoke_radius, p.layout.limb_radius)  # both end at the platform's joints
     above = max(p.layout.dome_radius, p.rrs.platform_radius + thick)
     lean = abs(p.task.sin_roll) + abs(p.task.sin_pitch)
@@ -139,7 +139,7 @@ def ceiling(heave: float, p: EnvParams) -> float:
 
 @njit(cache=True)
 def _lowest_arm(z: float, p: EnvParams) -> float:
-    """Height below which there is nothing of the Delta but the peg, m; knees may hang lowest."""
+    """A height below every part of the Delta but the peg, m; knees may hang lowest."""
     height, forearm = p.delta.base_height, p.layout.forearm_radius
     effector = z + height - max(p.layout.effector_radius, forearm)
     return min(effector, height - p.delta.proximal_length - forearm)
@@ -147,7 +147,7 @@ def _lowest_arm(z: float, p: EnvParams) -> float:
 
 @njit(cache=True)
 def lowest(z: float, p: EnvParams) -> float:
-    """Height below which there is nothing of the Delta, m: that of the tip, unless it is short."""
+    """A height below every part of the Delta, m: the tip's, unless the peg is short."""
     return min(peg_tip(0.0, 0.0, z, p.delta)[2], _lowest_arm(z, p))
 
 

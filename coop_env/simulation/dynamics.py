@@ -20,7 +20,7 @@ from coop_env.simulation.task import N_AXES, EnvParams
 
 @njit(cache=True, inline="always")
 def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p: EnvParams) -> int:
-    """Start an episode, but for the target; returns the configuration's status.
+    """Start an episode, without its target; returns the configuration's status.
 
     Nothing is written unless it is VALID.
     """
@@ -31,7 +31,7 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     for k in range(N_AXES):
         s.start[k] = c[k]
         s.offset[k] = 0
-    for hole in range(len(active)):  # numba compiles a second of shape errors for `s.active[:] =`
+    for hole in range(len(active)):  # `s.active[:] =` would take numba a second more to compile
         s.active[hole], s.filled[hole] = active[hole], filled[hole]
     s.moves = 0
     s.trailed = 0
@@ -46,7 +46,7 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
 def stand(
     s: Record, c: Configuration, theta: Row, pose: Pose, q: Row, sigma: float, p: EnvParams
 ) -> None:
-    """Put the nominal machine at a configuration, and write all that follows from it."""
+    """Put the nominal machine at a configuration, and write all dependent fields."""
     s.refused[:] = 0
     s.sigma = sigma
     state.place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
@@ -57,7 +57,7 @@ def stand(
 
 @njit(cache=True)
 def settle(s: Record, p: EnvParams) -> int:
-    """Put the imperfect machine at a state begun, joints as commanded; returns its status."""
+    """Put the imperfect machine where a begun state commands it; returns the status."""
     m = s.machine
     for k in range(3):
         m.joints[k], m.joints[3 + k] = s.theta[k], s.q[k]
@@ -147,7 +147,7 @@ def _follow(s: Record, c: Configuration, p: EnvParams) -> int:
 
 @njit(cache=True, inline="always")
 def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
-    """Try a move of one robot or of both, and write what follows; the status of each, 0 of HOLD."""
+    """Try a move of one robot or both, and write its effects; the status of each, 0 for HOLD."""
     if delta == HOLD and rrs == HOLD:
         return VALID, VALID
     if p.task.imperfect:  # one robot at a time
@@ -177,7 +177,7 @@ def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
 
 @njit(cache=True)
 def _inserts(s: Record, p: EnvParams) -> bool:
-    """Whether the peg goes into the target: the criterion, and an imperfect machine's luck."""
+    """Whether the peg goes into the target: the criterion, and an imperfect machine's chance."""
     if s.inside[s.target] == 0 or s.filled[s.target] == 1:
         return False
     return not p.task.imperfect or machine.uniform(s.machine) < s.machine.insertion_probability
@@ -230,7 +230,7 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
 def conclude(
     s: Record, flags: tuple[bool, bool, bool, bool, bool], target: int, p: EnvParams, out: Record
 ) -> None:
-    """Count the move, aim at the next target, and write to ``out`` what it has not got yet.
+    """Count the move, aim at the next target, and complete ``out``.
 
     ``flags``: a violation, an insertion, an entry to a filled hole, the episode's end, a failure.
     """

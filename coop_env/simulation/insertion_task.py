@@ -39,7 +39,7 @@ _MAY_BE_ZERO = ("start_tilt", "start_planar", "singular_margin")
 
 @dataclass(frozen=True, slots=True)
 class InsertionTask:
-    """Dome and holes, what counts as inserted, moves, start states, bodies. Lengths m, angles rad.
+    """Dome and holes, insertion criterion, moves, start states, bodies. Lengths m, angles rad.
 
     The defaults are the paper's task; ``docs/fidelity.md`` says which of them it leaves open.
 

@@ -68,7 +68,7 @@ def _own_limits(s: Record, move: int, p: EnvParams) -> bool:
 
 @njit(cache=True)
 def agent_masks(states: np.ndarray, packed: np.ndarray, sight: bool, masks: np.ndarray) -> None:
-    """Write ``masks (n, 2, 7)``: True where a choice is within what its robot knows of its limits.
+    """Write ``masks (n, 2, 7)``: True where a choice keeps the robot's limits, as far as it knows.
 
     With ``p.task.mask_singularities`` these include the 3-RRS's singularities, and with ``sight``
     also collisions with the other robot where it stands. Holding is always allowed.
@@ -77,7 +77,7 @@ def agent_masks(states: np.ndarray, packed: np.ndarray, sight: bool, masks: np.n
     coupled = p.task.mask_singularities
     for i in range(states.shape[0]):
         s = states[i]
-        # What the single agent's mask allows, either robot may; full, it may mean that nothing is.
+        # The single agent's mask holds for each robot, unless full: then perhaps nothing is valid.
         informed = s.mask.sum() < N_ACTIONS
         for move in range(N_ACTIONS):
             if informed and (s.mask[move] == 1 or sight or not coupled):
@@ -113,7 +113,7 @@ def joint_masks(states: np.ndarray, packed: np.ndarray, masks: np.ndarray) -> No
 
 @njit(cache=True)
 def _forbid_collisions(s: Record, p: EnvParams, mask: np.ndarray) -> None:
-    """Take joint actions out of ``mask (49,)`` in which both move and after which they touch."""
+    """Remove from ``mask (49,)`` the joint actions in which both move and then touch."""
     thetas = np.empty((N_CHOICES, 3))  # found once for each move, not for each pair
     for delta in range(HOLD_CHOICE):
         d = state.neighbour(s, move_of(DELTA, delta), p)

@@ -1,4 +1,4 @@
-"""Kernels of an imperfect machine: what it does with the joint angles that its model commands.
+"""Kernels of an imperfect machine: its response to the joint angles that its model commands.
 
 :mod:`coop_env.simulation.sim_to_real` draws such machines. With no knob turned nothing here runs.
 """
@@ -35,7 +35,7 @@ MACHINE: Final = np.dtype(
     ],
     align=True,
 )
-"""One machine, drawn at reset, and what it has to remember."""
+"""One machine, drawn at reset, and its memory."""
 
 Record = Any
 
@@ -60,7 +60,7 @@ def gaussian(m: Record) -> float:
 
 @njit(cache=True, inline="always")  # numba returns no tuple that holds a record
 def real_params(m: Record, p: EnvParams) -> EnvParams:
-    """The parameters with the machine's own lengths, chamfer and base."""
+    """The parameters with the machine's own lengths, chamfer, tolerance and base."""
     a, b = m.lengths, m.base
     return EnvParams(
         RRSParams(a[0], a[1], a[2], a[3], *p.rrs[4:]),
@@ -76,7 +76,7 @@ def real_params(m: Record, p: EnvParams) -> EnvParams:
 
 @njit(cache=True)
 def _answer(m: Record, joint: int, command: float) -> float:
-    """Where a joint goes: to the nearest count of its encoder, as far as its play makes it."""
+    """Where a joint goes: to the nearest encoder count, less what its play takes up."""
     if m.resolution > 0.0:
         command = m.resolution * np.floor(command / m.resolution + 0.5)
     half = 0.5 * m.backlash

@@ -27,8 +27,8 @@ def markov_fields(n_holes: int) -> tuple[str, ...]:
 
 
 Transform = NDArray[np.float64]
-"""(5, size): offset, scale, least, largest and what noise is a fraction of; a field becomes
-``clip((v - offset) scale + noise)``."""
+"""(5, size): offset, scale, least, largest and the range that noise is a fraction of; a field
+becomes ``clip((v - offset) scale + noise)``."""
 
 
 def make_observation(

@@ -68,7 +68,7 @@ def _scale(key: str, value: float | None) -> float:
 
 @njit(cache=True)
 def insertion_bonus(n_filled: int, time: float, p: RewardParams) -> float:
-    """Of an insertion: ``150 + 25 N_t + 80 (1 - t / T_task)``, or the constant given."""
+    """Bonus of an insertion: ``150 + 25 N_t + 80 (1 - t / T_task)``, or the given constant."""
     if math.isnan(p.insertion_bonus):
         return 150.0 + 25.0 * n_filled + 80.0 * (1.0 - time / p.task_time)
     return p.insertion_bonus
@@ -79,7 +79,7 @@ def terms(
     v: bool, z: bool, u: bool, n_filled: int, time: float,
     distance: tuple[float, float], angle: tuple[float, float], p: RewardParams,
 ) -> Terms:  # fmt: skip
-    """Of a move: equation (reward), or its repair; ``distance``, ``angle``: (before, after).
+    """Terms of a move: equation (reward), or its repair; ``distance``, ``angle``: (before, after).
 
     Both are to one hole. With ``p.gamma`` the repair is the shaping ``gamma Phi(s') - Phi(s)`` of
     the potential ``Phi = -(distance_scale d + angle_scale angle)``.

@@ -84,7 +84,7 @@ class SimToReal:
         }  # fmt: skip
         for name, limit in limits.items():
             keep_number(self, name, 0.0, limit)
-        # plain ones, by whose text snapshots tell environments apart
+        # plain Python values, whose text is compared when a snapshot is loaded
         latency = check_integer("SimToReal.latency", self.latency, 0, 1, hint=" step")
         object.__setattr__(self, "latency", latency)
         object.__setattr__(self, "randomize", check_flag("SimToReal.randomize", self.randomize))

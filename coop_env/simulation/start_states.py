@@ -1,4 +1,4 @@
-"""Start states: random ones by rejection, and those that a caller's reset options name.
+"""Start states: random ones by rejection, and those named by reset options.
 
 Both are built in a scratch row, so a start that fails leaves the environment as it was.
 """
@@ -98,7 +98,7 @@ def draw_start(
             break
         draw_machine(scratch[0]["machine"], knobs, p, rng)
         drawn = options.configuration is None
-        # who names a configuration may begin in a hole, as the nominal machine may
+        # a given configuration may be in a hole, as on the nominal machine
         if dynamics.settle(scratch[0], p) == VALID and not (drawn and scratch[0]["inside"].any()):
             break
     else:

@@ -1,4 +1,4 @@
-"""One row of state: its layout, what a configuration makes of it, and the action mask.
+"""One row of state: its layout, how it follows from a configuration, and the action mask.
 
 A configuration is its start plus an integer number of moves along each axis, so a move and its
 reverse cancel exactly.
@@ -90,7 +90,7 @@ OUTCOME: Final = np.dtype(
     ],
     align=True,
 )
-"""What a move led to."""
+"""The outcome of a move."""
 
 INFO_FIELDS: Final = (OUTCOME.names or ())[:15]
 """Fields of an outcome that go into ``info``, beside the reward's terms."""
@@ -210,7 +210,7 @@ def hole_angle(s: Record, index: int) -> float:
 
 @njit(cache=True)
 def place_delta(s: Record, c: Configuration, theta: Row, tip: Row) -> None:
-    """Write the Delta's half of a configuration and what follows from it alone."""
+    """Write the Delta's half of a configuration and what depends on it alone."""
     for k in range(3):
         s.configuration[k] = c[k]
         s.theta[k] = theta[k]
@@ -219,7 +219,7 @@ def place_delta(s: Record, c: Configuration, theta: Row, tip: Row) -> None:
 
 @njit(cache=True)
 def place_rrs(s: Record, c: Configuration, pose: Pose, q: Row, p: EnvParams) -> None:
-    """Write the 3-RRS's half of a configuration and what follows from it alone, but sigma."""
+    """Write the 3-RRS's half of a configuration and what depends on it alone, but sigma."""
     for k in range(3):
         s.configuration[3 + k] = c[3 + k]
         s.q[k] = q[k]
@@ -318,11 +318,11 @@ def leave(s: Record) -> None:
 
 @njit(cache=True)
 def _forbid_visited(s: Record, visited: int) -> None:
-    """Take out of the mask what leads back to the last ``visited`` configurations, unless all does.
+    """Remove from the mask moves back to the last ``visited`` configurations, unless all go back.
 
     A shortest path never returns, so none is lost.
     """
-    back = 0  # the actions that do, as the bits of a number
+    back = 0  # the actions that lead back, as the bits of a number
     for action in range(N_ACTIONS):
         key = _key(s, action)
         for i in range(min(s.trailed, visited)):
@@ -335,7 +335,7 @@ def _forbid_visited(s: Record, visited: int) -> None:
 
 @njit(cache=True)
 def _forbid_refused(s: Record) -> None:
-    """Take out of the mask what was refused here; if that is all, it is forgotten."""
+    """Remove from the mask moves refused here; if none would be left, forget the refusals."""
     if bits(s.mask) == 0:
         s.mask[:] = 1
     if bits(s.mask) & ~bits(s.refused) == 0:
@@ -348,8 +348,8 @@ def _forbid_refused(s: Record) -> None:
 def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
     """Recompute the action mask of the robots that moved, and of both where they are coupled.
 
-    If nothing is valid, everything is allowed. Of what is left when refused moves are out, the way
-    back is forbidden: a dead end is left rather than run into.
+    If nothing is valid, everything is allowed. Refused moves are removed first, then moves back,
+    unless no other move is left: a dead end is left the way it was entered.
     """
     couple = p.task.mask_singularities
     # a full mask may stand for "nothing valid"

@@ -30,14 +30,14 @@ KEY_SPAN: Final = 1024  # lattice points along an axis that such a memory tells 
 
 
 class TaskParams(NamedTuple):
-    """What decides a move, as numba takes it; m and rad."""
+    """Parameters that decide a move, as numba takes them; m and rad."""
 
     chamfer: float
     tolerance: float
     angle_tolerance: float
     max_moves: int = 300
     mask_singularities: bool = False
-    visited: int = 0  # configurations back to which masks forbid to go
+    visited: int = 0  # number of configurations to which masks forbid to return
     imperfect: bool = False  # a sim-to-real knob is turned
     refused: bool = False  # masks forbid to try a refused move again
     fatal: bool = False  # a collision ends the episode

@@ -1,4 +1,4 @@
-"""What each of the two agents sees and may choose: their fields, spaces and masks."""
+"""The two agents' observations and choices: fields, spaces and masks."""
 
 from typing import Any, Final
 
@@ -21,7 +21,7 @@ _HOLE: Final = {"delta": ("e_x", "e_y", "e_z"), "rrs": ("n_x", "n_y", "n_z")}
 
 
 class Team(CoopInsertionJointEnv):
-    """A joint environment whose rows and masks are shared out to the agents ``delta``, ``rrs``.
+    """A joint environment with observations and masks for the agents ``delta`` and ``rrs``.
 
     Args:
         sight: each agent sees the other's configuration, and its masks know of collisions with the

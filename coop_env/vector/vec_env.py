@@ -62,7 +62,7 @@ class CoopInsertionVecEnv(VecEnv):
         return self._vector.envs
 
     def _observed(self, rows: Rows) -> Rows:
-        """What the agents see (n * rows_each, size) of environments' observations (n, fields)."""
+        """The agents' observations (n * rows_each, size) from the environments' (n, fields)."""
         return rows.copy()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -72,7 +72,7 @@ class CoopInsertionVecEnv(VecEnv):
         return self._seeds
 
     def _spread(self, each: Sequence[Any]) -> list[Any]:
-        """For each row what its environment has."""
+        """A list with an entry per row, from one per environment."""
         return [own for own in each for _ in range(self.rows_each)]
 
     def set_options(self, options: Any = None) -> None:

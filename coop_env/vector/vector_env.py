@@ -97,7 +97,7 @@ class CoopInsertionVectorEnv(SyncVectorEnv):
                 row = getattr(self, name)[i : i + 1]
                 row[:] = getattr(env, f"_{name}")
                 setattr(env, f"_{name}", row)
-        self._started = False  # kept, as every step asks for it
+        self._started = False  # cached, as every step asks for it
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in _SHARED}
@@ -178,7 +178,7 @@ class CoopInsertionVectorEnv(SyncVectorEnv):
         return check_actions(actions, self.num_envs, int(self.envs[0].action_space.n))
 
     def move(self) -> NDArray[np.int64]:
-        """Make the moves taken, NoAsyncCallError without; the indices of the episodes that end."""
+        """Make the moves taken; returns the indices of ended episodes. NoAsyncCallError if none."""
         if not self.pending:
             self._require_start()
             raise NoAsyncCallError("step_wait() without step_async(): no actions", "step")

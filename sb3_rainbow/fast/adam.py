@@ -72,8 +72,8 @@ class AdamOnVector:
             else:
                 kernels.clip(self._gradient, max_grad_norm)
         if is_first or "step" in vars(optimizer) or not (learn and self._has_moments(states)):
-            # Torch knows best what belongs into the state of a parameter; a learning rate scheduler
-            # counts the calls; some parameters do not always train.
+            # torch itself creates a parameter's state; a learning rate scheduler counts the calls;
+            # some parameters do not always train.
             optimizer.step()
         elif has_hooks(optimizer):
             th.optim.Optimizer.profile_hook_step(self._after_hooks)(optimizer)
@@ -87,7 +87,7 @@ class AdamOnVector:
             th.optim.Adam.step.__wrapped__(optimizer)  # type: ignore[attr-defined]
 
     def _has_moments(self, states: list[Any]) -> bool:
-        """Whether all parameters have moments of the same age; if so, as parts of vectors."""
+        """Whether all parameters have moments of one age; moments become parts of vectors."""
         if not all(states):
             return False
         tensors = list(chain.from_iterable(map(_ENTRIES, states)))

@@ -151,8 +151,8 @@ def mean_advantages(
 ) -> Matrix:
     """Each action's outputs of the head, the mean over its atoms, ``(B, A)``.
 
-    Without a support a mean is the expectation, but for what all actions have in common, and that
-    of the weights comes first: one product in the place of ``n_atoms``.
+    Without a support this mean is the expectation, up to a part that all actions share. The weights
+    are averaged first: one matrix product in the place of ``n_atoms``.
     """
     head_weight, head_bias = weights_of(parameters, effective, table, table.shape[0] - 1)
     n_out, n_in = head_weight.shape
@@ -180,8 +180,8 @@ def mean_advantages(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def join(streams: Matrix, n_atoms: int, dueling: bool, shifted: bool, logits: Matrix) -> None:
-    """Value and advantages to the ``logits`` ``(B, n_actions * n_atoms)``; ``shifted``, each
-    action's have a maximum of zero.
+    """Join value and advantages to ``logits`` ``(B, n_actions * n_atoms)``; if ``shifted``, each
+    action's largest logit is zero.
     """
     n_logits = logits.shape[1]
     skipped = n_atoms if dueling else 0
@@ -309,8 +309,8 @@ def taken_logits(
     common: Matrix,
     logits: Matrix,
 ) -> None:
-    """Write the ``logits`` ``(B, n_atoms)`` of one action per sample, a twelfth of the head's
-    arithmetic for twelve actions, and what all actions' weights share, ``common``.
+    """Write the ``logits`` ``(B, n_atoms)`` of one action per sample, with twelve actions a twelfth
+    of the head's arithmetic, and to ``common`` the part of the weights that all actions share.
     """
     weight, bias = weights_of(parameters, effective, table, table.shape[0] - 1)
     n_atoms = common.shape[0]

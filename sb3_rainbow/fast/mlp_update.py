@@ -185,9 +185,9 @@ class MlpUpdate:
 
     @contextmanager
     def undisturbed(self, optimizer: th.optim.Optimizer) -> Iterator[None]:
-        """Look once, before updates that nobody disturbs, at what each would look at by itself.
+        """Check once, before updates that nobody disturbs, what each would check by itself.
 
-        That cannot be where an extractor is someone else's: then each looks.
+        That is possible only if both extractors just flatten; otherwise each update checks.
         """
         self.settled = self._flattens and self._adam.is_ready(optimizer)
         if self.settled:

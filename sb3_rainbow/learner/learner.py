@@ -17,7 +17,7 @@ from sb3_rainbow.type_aliases import Batch
 try:
     from sb3_rainbow.fast.mlp_update import MlpUpdate
     from sb3_rainbow.fast.shortcuts import Shortcuts
-except ModuleNotFoundError:  # without its folder everything is as it is here, slower
+except ModuleNotFoundError:  # without that folder this module does it all, slower
     Shortcuts = None  # type: ignore[assignment, misc]
 
 # A normal number, whatever the mode at import, whose tenth is denormal
@@ -65,7 +65,7 @@ class Learner:
         return None if self.shortcuts is None else self.shortcuts.kernels
 
     def undisturbed(self) -> AbstractContextManager[None]:
-        """For updates between which nobody else touches the policy: they look at it once."""
+        """Context for updates between which nobody else touches the policy: one check for all."""
         kernels = self.kernels()
         return nullcontext() if kernels is None else kernels.undisturbed(self.policy.optimizer)
 

@@ -18,10 +18,10 @@ LOST_MASK_WARNING = (
 
 
 class ActionMaskError(ValueError):
-    """Masks that an environment should not have given."""
+    """Action masks of a wrong shape or kind, or that allow nothing."""
 
 
-# What every wrapper of Gymnasium's has itself
+# Attributes that every Gymnasium wrapper has itself
 _OWN = {"env", "_action_space", "_observation_space", "_metadata", "_cached_spec"}
 
 
@@ -86,7 +86,7 @@ def capture_terminal_masks(env: VecEnv) -> None:
     if not isinstance(inner, DummyVecEnv) or not is_masking_supported(inner):
         return
     for i, env_of_row in enumerate(inner.envs):
-        if type(env_of_row) is not TerminalActionMask:  # one further in has not all masks' say
+        if type(env_of_row) is not TerminalActionMask:  # one further in misses outer changes
             inner.envs[i] = TerminalActionMask(env_of_row)
 
 

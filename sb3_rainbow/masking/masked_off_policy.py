@@ -32,7 +32,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     _masking: bool = False
     _warned_of_lost_mask: bool = False
     _last_action_masks: NDArray[np.bool_] | None = None
-    _may_have_changed: bool = False  # the masks, as callbacks were called since
+    _may_have_changed: bool = False  # whether callbacks may have changed the masks
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
         before = self._last_obs

@@ -6,7 +6,7 @@ from stable_baselines3.common.torch_layers import NatureCNN
 
 
 def gains_by_channels_last(extractor: th.nn.Module) -> bool:
-    """Whether an extractor copes with channels last, which is faster on images of Atari's size.
+    """Whether an extractor works with channels last, which is faster on images of Atari's size.
 
     A user's own may have a ``view`` in it, which that order does not allow; a class without one
     says ``channels_last = True``.

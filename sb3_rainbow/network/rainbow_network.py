@@ -178,7 +178,7 @@ class RainbowNetwork(AsVector, BasePolicy):
         return [layer for layers in lists if layers is not None for layer in layers.children()]
 
     def layers_drawn_together(self) -> list[NoisyLinear]:
-        """The own layers whose noise is what ``NoisyLinear`` draws."""
+        """The network's own noisy layers that draw their noise as ``NoisyLinear`` does."""
         return [
             layer
             for layer in self._own_layers()

@@ -169,7 +169,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             env = int(np.argmin(finite))
             raise ValueError(
                 f"The reward of env {env} is {np.ravel(reward)[env]}, but must be finite (in "
-                "float32): one such reward spoils every network; bound it, or mend its formula"
+                "float32): one such reward spoils every network; bound it, or correct its formula"
             )
         current, following = self._store.cast(obs), self._store.cast(next_obs)
         # Left in the middle, as when someone resets the env

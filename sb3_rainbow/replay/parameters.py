@@ -1,4 +1,4 @@
-"""What a replay buffer can be asked for, and whether the memory holds it."""
+"""Checks of a replay buffer's parameters, and of its memory."""
 
 import warnings
 from numbers import Integral, Real

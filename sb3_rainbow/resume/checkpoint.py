@@ -32,7 +32,7 @@ _STATELESS = (VecCheckNan, VecExtractDictObs, VecTransposeImage, VecVideoRecorde
 
 
 def members(path: str | os.PathLike[str]) -> set[str]:
-    """Names of what an archive holds; none of what is no archive."""
+    """Names of an archive's members; empty for a file that is no archive."""
     if not zipfile.is_zipfile(path):
         return set()
     with zipfile.ZipFile(path) as archive:

@@ -1,4 +1,4 @@
-"""The form of a model's file, and errors of its loading as one line."""
+"""The format of a model's file, and loading errors as one line."""
 
 import os
 import zipfile
@@ -15,7 +15,7 @@ VEC_NORMALIZE = "vec_normalize.zip"  # the statistics beside a packaged model
 
 
 class ZooError(ValueError):
-    """What was asked of the zoo cannot be done, and the message says all there is to say."""
+    """A command, file or model that the zoo cannot handle; the message needs no traceback."""
 
 
 def is_model_file(path: str | os.PathLike[str]) -> bool:
@@ -28,7 +28,7 @@ def loading(path: str | os.PathLike[str]) -> Iterator[None]:
     """Raise whatever the loading of a file raises as a :class:`ZooError` that names the file."""
     try:
         yield
-    except Exception as error:  # what pickle, zipfile and torch raise is anybody's guess
+    except Exception as error:  # pickle, zipfile and torch may raise anything
         reason = str(error).strip() or repr(error)
         raise ZooError(
             f"{os.fspath(path)} cannot be loaded as Rainbow: {reason}{_other_version(path)}"

@@ -1,4 +1,4 @@
-"""Models of Rainbow as files of numbers, text and arrays, of which nothing is run.
+"""Models of Rainbow as files of numbers, text and arrays; reading one runs no code.
 
 A file is a zip of ``settings.json`` and ``arrays.safetensors``; it holds no pickle, and none is
 read. Settings are checked against the signatures of the constructors that take them. A class is

@@ -135,12 +135,12 @@ def test_what_cannot_be_exported_is_one_clear_error(tmp_path: Path) -> None:
     contrary.policy.predict = lambda *_, **__: None
     branching = acrobot(policy_kwargs={"activation_fn": Branching})
     other: Any = DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu")
-    for model, said in (
+    for model, message in (
         (branching, "network of RainbowPolicy cannot be exported: .+"),
         (acrobot(Stubborn), "Stubborn chooses actions by a _predict of its own"),
         (contrary, "RainbowPolicy chooses actions by a predict of its own"),
         (other, "expected a Rainbow model, got DQN"),
     ):
-        with pytest.raises(ExportError, match=said):
+        with pytest.raises(ExportError, match=message):
             to_onnx(model, path)
     assert not path.exists()

@@ -35,8 +35,8 @@ def record(model: Rainbow, n_steps: int, folder: Path) -> dict[str, list[Any]]:
 
 
 def test_returns_beyond_the_support_are_told_once() -> None:
-    narrow, said = make(v_min=0.0, v_max=1.5), r"outside of the support \[0.0, 1.5\].*quantile"
-    with pytest.warns(UserWarning, match=said) as report:
+    narrow, message = make(v_min=0.0, v_max=1.5), r"outside of the support \[0.0, 1.5\].*quantile"
+    with pytest.warns(UserWarning, match=message) as report:
         narrow.learn(900)
     assert len(report) == 1
     make().learn(100)  # a warning would be an error

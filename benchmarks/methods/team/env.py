@@ -42,7 +42,7 @@ def own_masks(masks: Masks) -> Masks:
 
 
 def each_for_itself(policy: Policy, env: DecentralizedEnv) -> Policy:
-    """Joint actions of a policy that was trained on rows of agents, with the indicator."""
+    """Joint actions by a policy that was trained on agents' rows with the indicator."""
 
     def act(observations: Observations, masks: Masks) -> NDArray[Any]:
         n = len(observations)

@@ -83,7 +83,7 @@ class SumNetwork(TeamNetwork):
     """Value decomposition (VDN, Sunehag et al. 2018): a joint action's return is the sum of both
     agents', of distributions quantile by quantile (DFAC, Sun et al. 2021).
 
-    Each agent's own best choice is then the best joint action, without a word from the other.
+    Each agent's own best choice is then its part of the best joint action, without communication.
 
     Raises:
         ValueError: for a categorical head, whose sum is no sum of logits.
@@ -112,7 +112,7 @@ class IndependentNetwork(TeamNetwork):
     def logits(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
         """Outputs ``(B, 7, N)``, each row's of its agent's network."""
         assert isinstance(obs, th.Tensor)
-        delta, rrs = self.own_logits(obs, noisy)  # of all rows: noise is drawn for each of them
+        delta, rrs = self.own_logits(obs, noisy)  # for all rows, as noise is drawn for each of them
         return th.where(obs[:, -2, None, None] > 0.5, delta, rrs)
 
 

@@ -26,7 +26,7 @@ Scores = list[NDArray[np.float64]]  # of each seed's test episodes
 
 
 def of_episodes(results: Results) -> Iterator[Picture]:
-    """Figures of the test episodes, over all tracks: those that have something to compare."""
+    """Figures of the test episodes over all tracks, where there is something to compare."""
     if (drawn := _drawn(results)) and results.group("optimum").n:
         yield Picture("performance_profile", partial(_profiles, results, drawn))
     noisy = complete(row for row in results.rows(NOISY) if row.track in ("", results.scored))
@@ -71,7 +71,7 @@ def _look(group: Group) -> dict[str, Any]:
 
 
 def _drawn(results: Results) -> list[Group]:
-    """Learners of the scored track, of the controls the best of each knowledge, and planners."""
+    """Learners of the scored track, the best control for each knowledge, and planners."""
     result = complete(row for row in results.rows() if row.track in ("", results.scored))
     learners = [row for row in result if row.method in LEARNERS]
     controls = complete(row for row in map(results.control_of, learners) if row)
@@ -166,7 +166,7 @@ def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
     places = np.arange(len(rows))
     values = [row.as_trained().success() for row in rows]
     mean, arms = _arms(values)
-    arms[:, [value.n == 1 for value in values]] = np.nan  # its interval would be over episodes
+    arms[:, [value.n == 1 for value in values]] = np.nan  # one seed's is over its episodes
     axes.errorbar(
         mean, places + 0.14, xerr=arms, fmt="o", markersize=4, capsize=2, color="C0",
         label=f"ours, {labels.track(rows[0].track)}: 95 % interval",

@@ -59,7 +59,7 @@ def pictures(results: Results) -> list[Picture]:
 
 
 def _learning(results: Results, track: str) -> Iterator[Picture]:
-    """The paper's seven learning figures of the scored track; of another its success alone."""
+    """The paper's seven learning figures for the scored track; success alone for another."""
     learners = [results.group(method, track) for method in LEARNERS]
     learners.append(results.group("rainbow", track, ablation="none"))
     groups = {group.title: group for group in learners if group.known}
@@ -93,7 +93,7 @@ def _variants(results: Results, track: str) -> Iterator[Picture]:
 
 
 def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:
-    """Success without each component, of many half in either panel; with all and none in both."""
+    """Success without each component; many are split over two panels, with all and none in both."""
     drawn = [each for each in _coloured(groups) if each[1].curves()]
     removed = [name for name, group, _ in drawn if group.ablation not in labels.ALL_OR_NONE]
     columns = 2 if len(removed) > 3 else 1
@@ -109,7 +109,7 @@ def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:
 
 
 def _teams(results: Results) -> list[Group]:
-    """Teams that were trained, with the components that most of them were trained with."""
+    """The trained teams, with the components that most of them have."""
     tracks = results.tracks(teams=True)
     by_ablation = (
         [results.group("rainbow", track, ablation=ablation) for track in tracks]
@@ -136,7 +136,7 @@ def _over_ticks(groups: Sequence[Group]) -> Figure:
 
 
 def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
-    """Methods in their own colours; ablations and geometries one after the other."""
+    """Groups with a colour each: methods have their own, ablations and geometries the next."""
     titles = {**labels.METHODS, "masked_dqn": labels.MASKED_DQN}
     methods = {title: style.METHOD_COLOURS.get(key) for key, title in titles.items()}
     return [
@@ -169,7 +169,7 @@ def _curves(
 
 
 def _mark_bounds(axes: Axes, bounds: Sequence[Group], metric: Metric) -> None:
-    """Where the best control of the track and the optimum are, on the test episodes."""
+    """Mark the track's best control and the optimum, by ``metric`` on the test episodes."""
     for row, line in zip(bounds, ("--", ":"), strict=False):
         level = row.value(metric).mean / metric.scale
         axes.axhline(level, color="0.4", linestyle=line, linewidth=0.9, label=row.acting_name)
@@ -213,14 +213,14 @@ def _exploration(groups: Groups) -> Figure:
 
 
 def _quantity(group: Group) -> str:
-    """What "noise" holds: without noisy layers epsilon, of an actor-critic nothing."""
+    """Label of the column "noise": sigma, or epsilon without noisy layers; "" if neither."""
     if group.method == "rainbow" and ABLATIONS[group.ablation].get("noisy", True):
         return "noise magnitude"
     return "epsilon" if group.method in ("rainbow", "dqn") else ""
 
 
 def _mark_stages(axes: Axes) -> None:
-    """How many holes either stage of the curriculum has."""
+    """Mark how many holes each stage of the curriculum has."""
     for holes, stage in ((STAGE_0_HOLES, 0), (N_HOLES, 1)):
         axes.axhline(holes, color="0.6", linewidth=0.8)
         text = f"all of stage {stage}"
@@ -230,7 +230,7 @@ def _mark_stages(axes: Axes) -> None:
 
 
 def _series(frame: pd.DataFrame, column: str, window: int) -> tuple[Curve, Curve]:
-    """Steps and values of one run; what counts episodes as the mean of the last ``window``."""
+    """Steps and values of one run; columns of episodes as the mean of the last ``window``."""
     ended = frame.get("episodes", frame["timesteps"])
     counts = ended.diff().fillna(ended).clip(lower=1)
     rows = frame.assign(counts=counts)[["timesteps", column, "counts"]].dropna()
@@ -274,7 +274,7 @@ def draw(
 
 
 def _band(axes: Axes, grid: Curve, low: Curve, high: Curve, **look: Any) -> None:
-    """Student's 95 % interval, which of few seeds is wide: the axes follow the means."""
+    """Student's 95 % interval; it is wide for few seeds, so the axes follow the means."""
     seen = axes.dataLim.frozen()
     axes.fill_between(grid, low, high, alpha=0.2, linewidth=0, **look)
     axes.dataLim.set(seen)

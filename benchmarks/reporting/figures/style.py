@@ -1,4 +1,4 @@
-"""One look for every figure of the harness: fonts, colours, axes, legends, files that repeat.
+"""One look for every figure of the harness: fonts, colours, axes, legends, reproducible files.
 
     with style():
         figure, (axes,) = canvas()
@@ -28,7 +28,7 @@ from benchmarks.runs.store import write_atomic
 
 matplotlib.use("Agg")
 
-# Okabe and Ito, and grey: told apart also by a colour-blind eye
+# Okabe and Ito, and grey: a colour-blind eye tells them apart
 PALETTE: Final = (
     *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999"),
 )
@@ -96,7 +96,7 @@ def save(figure: Figure, path: Path, shades: bool = False) -> Path:
 
 
 def flat_png(data: bytes) -> bytes:
-    """A PNG with few colours, a fraction of the size: charts have no more."""
+    """A PNG with a palette, a fraction of the size: charts have few colours."""
     image = Image.open(io.BytesIO(data)).convert("RGB")
     # by coverage: a median cut merges the colours of thin lines, of which there are few pixels
     flat = image.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)

@@ -1,4 +1,4 @@
-"""Tables that the paper has not: leaderboard, comparisons, uncertain machine, tasks, teams."""
+"""Tables beyond the paper's: leaderboard, comparisons, uncertain machine, tasks, teams."""
 
 from collections.abc import Iterator
 from operator import attrgetter
@@ -34,7 +34,7 @@ TEAMS: Final = {
 
 
 def build_tables(results: Results) -> list[Table]:
-    """The tables that a store's runs fill, the paper's first."""
+    """The tables for which a store has runs, the paper's first."""
     if tasks(results):  # a preset about the task has no headline
         return [difficulty(results)]
     ablations, geometries = ({key[i] for key in results.groups} for i in (1, 2))
@@ -113,7 +113,7 @@ def significance(results: Results) -> Table:
     """Table "significance": every comparison that a sentence rests on, by question."""
     header = ["Question", "Method", "Against", "Difference (points)", "p", "p (Holm)", "Seeds"]
     result = comparisons(results)
-    # one seed tests nothing: shown where there is nothing else
+    # one seed tests nothing: it is shown only where there is nothing else
     result = [each for each in result if each.difference.n > 1] or result
     made: list[list[TableCell]] = [
         [each.question, f"{each.name}, {each.ours.acting}",
@@ -184,7 +184,7 @@ def difficulty(results: Results) -> Table:
 
 
 def _gains(results: Results) -> list[str]:
-    """What the design stage changes of the optimum's success, task by task."""
+    """How the design stage changes the optimum's success, task by task."""
     gains = []
     for track in tasks(results):
         before, after = (results.group("optimum", track, end).success() for end in paper.ENDS)
@@ -261,12 +261,12 @@ def _answer(at_once: list[Group], ablation: str) -> list[str]:
     learned = [r for r in complete(at_once) if (r.method, r.ablation) == ("rainbow", ablation)]
     central = [row for row in learned if _of(row) == "central"]
     parts = []
-    for sight, words in ((True, "in sight"), (False, "without sight")):
+    for sight, place in ((True, "in sight"), (False, "without sight")):
         seen = [row for row in learned if row not in central and _sees(row) == sight]
         if central and seen:
             best = max(seen, key=lambda row: row.success().mean)
             change = measured(differences("", best, central[0])).signed(" points")
-            parts.append(f"{words} {TEAMS[_of(best)]}, the best, changes that by {change}")
+            parts.append(f"{place} {TEAMS[_of(best)]}, the best, changes that by {change}")
     if not parts:
         return []
     rate = f"the central Rainbow has {central[0].success().mean:.1f} %"

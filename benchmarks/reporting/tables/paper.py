@@ -1,6 +1,6 @@
 """The paper's tables in the paper's form, its values beside ours, from stored data alone.
 
-Nothing is trained or played again here, and torch is not imported.
+Nothing is trained or played here, and torch is not imported.
 """
 
 import math
@@ -40,17 +40,17 @@ def performance(results: Results) -> Table:
 
 
 def timed(rows: Iterable[Group]) -> bool:
-    """Whether the test episodes of any know the joints' time; those of older runs do not."""
+    """Whether any test episodes have the joints' time; those of older runs lack it."""
     return any(row.value(JOINTS_TIME).n for row in rows)
 
 
 def _by_metric(
     rows: list[Group], metrics: Iterable[Metric], printed: Mapping[str, Mapping[str, str]]
 ) -> list[list[TableCell]]:
-    """A line for each metric, and one for success greedily if the rows act otherwise.
+    """A line for each metric, and one for greedy success if the rows act otherwise.
 
-    Below the completion time stands the joints', where it is known. What is ``printed`` of any
-    metric, by method, stands before ours.
+    The joints' time follows the completion time where it is known. ``printed`` holds the paper's
+    values by metric and method, which precede ours.
     """
     metrics = list(metrics)
     if timed(rows):
@@ -88,7 +88,7 @@ def controls(results: Results) -> Table:
 
 
 def _how(result: list[Group]) -> list[str]:
-    """In which way each method acts."""
+    """How each method acts."""
     ways: dict[str, list[str]] = {}
     for row in complete(result):
         if row.method in LEARNERS or row.level != MAIN:
@@ -126,7 +126,7 @@ def ablation(results: Results) -> Table:
 
 
 def _steps_to_75(group: Group, paper: str) -> TableCell:
-    """Environment steps to 75 % success, in 1e5; a run that never got there counts as longer."""
+    """Environment steps to 75 % success, in 1e5; a run that never reached it counts as longer."""
     value = group.steps_to_75()
     missed = group.n - value.n
     if group.n and not value.n:
@@ -205,13 +205,13 @@ def _design_cell(row: dict[Hashable, Any], end: str, runs: int, paper: str) -> T
     if math.isnan(upper):
         return number
     first, second = paper.strip("[]").split(", ")
-    # of the upper end only the mean is kept
+    # only the mean of the upper end is kept
     last = Number(Value(upper, low=upper, high=upper), paper=second)
     return replace(number, differs=replace(number, paper=first).flagged or last.flagged)
 
 
 def best_under_noise(results: Results, track: str) -> Group | None:
-    """The script that does best with noise on what it observes, at the level that helps it most."""
+    """The script that does best under observation noise, at the level that suits it most."""
     scripts = [results.group(name, track) for name in NOISY if name in CONTROLS]
     levels = [Level(noise) for noise in noise_levels(results) if noise]
     tested = [row.at(level) for level in levels for row in scripts if row.n]
@@ -248,7 +248,7 @@ def noise_levels(results: Results) -> list[float]:
 
 
 def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> list[str]:
-    """How many seeds and episodes are behind the numbers, and which groups are not complete."""
+    """Seeds and episodes behind the numbers, and the groups that are not complete."""
     groups = list(groups)
     called = [row.name for row in groups] if names is None else names
     seeds = sorted({group.n for group in groups if group.n})
@@ -273,7 +273,7 @@ def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> 
 
 
 def stage_notes(groups: Iterable[Group], names: Iterable[str]) -> list[str]:
-    """Which groups' seeds never went on to six holes, with which they are tested."""
+    """Groups with seeds that were tested on six holes but never trained on them."""
     stayed = []
     for name, group in zip(names, groups, strict=True):
         never = sum(

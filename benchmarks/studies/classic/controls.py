@@ -1,8 +1,8 @@
-"""What plays the public tasks without learning: at random, by one action, by a script of few lines.
+"""Controls of the public tasks, without learning: random, one action, a script of a few lines.
 
-A script sees what a learner sees, one observation at a time, and remembers nothing. Those of
-MinAtar are greedy by hand: they look one move ahead and know how the game's objects move. Those
-that are not others' were written on seeds from 1000 on, as the settings of Rainbow.
+A script sees what a learner sees, one observation at a time, and has no memory. MinAtar's are
+written by hand and greedy: they look one move ahead and know how the game's objects move. Our own
+were written on seeds from 1000 on, like Rainbow's settings.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,7 +24,7 @@ UNSAFE: Final = 100.0  # more than any distance
 
 
 def at_random(n: int, seed: int) -> Act:
-    """Every allowed one of ``n`` actions as likely as any other."""
+    """Draws evenly from the allowed ones of ``n`` actions."""
     rng = np.random.default_rng(seed)
 
     def act(batch: NDArray[Any], masks: NDArray[np.bool_] | None) -> NDArray[Any]:
@@ -81,7 +81,7 @@ def _at(image: Image, *channels: int) -> list[tuple[int, int]]:
 
 
 def _heading(image: Image, trail: int, y: int, x: int) -> int:
-    """1 for what goes to the right, else -1: its trail is behind it, off the edge at first."""
+    """1 for an object that goes right, else -1: its trail is behind it, at first off the edge."""
     return 1 if (image[trail, y, x - 1] if x > 0 else not image[trail, y, 1]) else -1
 
 
@@ -110,7 +110,7 @@ def _freeway(image: Image) -> int:
 
 
 def _arrivals(image: Image, row: int) -> Iterator[int]:
-    """In how many frames, at least, each car of a row is in the chicken's column; 0 for there."""
+    """Fewest frames until each car of a row is in the chicken's column; 0 if it is there."""
     for x in np.flatnonzero(image[1, row]).tolist() if row <= LAST else ():
         for pace in range(1, 6):  # a car moves once in pace + 1 frames
             for heading in (1, -1):
@@ -187,7 +187,7 @@ def _seaquest(image: Image) -> int:
 
 
 def _danger(image: Image, place: tuple[int, int], enemies: list[tuple[int, int]]) -> float:
-    """Of a place in Seaquest: what is about to hit it counts in full, what is beside it in part."""
+    """Cost of a place in Seaquest: full if something is about to hit it, half if beside it."""
     gaps = [x - place[1] for y, x in enemies if y == place[0]]
     coming = [-gap * _heading(image, 3, place[0], place[1] + gap) for gap in gaps]
     bullets = [abs(x - place[1]) for y, x in _at(image, 4) if y == place[0]]

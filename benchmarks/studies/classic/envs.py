@@ -1,4 +1,4 @@
-"""The tasks by name, and what Gymnasium does not have: MinAtar, identity with and without masks.
+"""The public tasks by name; those that Gymnasium lacks: MinAtar, identity, masked identity.
 
 Atari's games are as data-efficient Rainbow plays them, through ale-py and SB3's wrappers.
 """
@@ -24,7 +24,7 @@ FRAMES: Final = 4  # stacked
 EPISODE_STEPS: Final = 27_000  # half an hour of play at 60 frames a second, 4 of them a step
 MINATAR_STEPS: Final = 5_000  # after which an episode is truncated, too
 NOOPS: Final = 30  # at most, at the start of an episode
-EPSILON: Final = 0.001  # of the actions of a test, Dopamine's: else at most 30 episodes differ
+EPSILON: Final = 0.001  # of a test's actions are random (Dopamine): else at most 30 episodes differ
 
 
 def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
@@ -88,7 +88,7 @@ class NowAndThenRandom(gym.Wrapper[NDArray[np.uint8], Any, NDArray[np.uint8], An
         return self.env.reset(**given)
 
     def step(self, action: Any) -> tuple[NDArray[np.uint8], Any, bool, bool, dict[str, Any]]:
-        """As the game's, but now and then by another action."""
+        """As the game's, but now and then with another action."""
         assert isinstance(self.action_space, gym.spaces.Discrete)
         if self._rng.random() < EPSILON:
             action = self._rng.integers(self.action_space.n)
@@ -164,7 +164,7 @@ class MinAtarEnv(gym.Env[NDArray[np.uint8], np.int64]):
 
 
 class IdentityEnv(envs.IdentityEnv[Any]):
-    """SB3's task: reward 1 for saying which of ``size`` states one sees; 0 for another.
+    """SB3's task: reward 1 for naming the observed one of ``size`` states, else 0.
 
     Its states follow ``reset(seed=...)``. Observations and actions: Discrete(size).
     """
@@ -179,9 +179,9 @@ class IdentityEnv(envs.IdentityEnv[Any]):
 class MaskedIdentityEnv(IdentityEnv):
     """:class:`IdentityEnv` in which few actions are allowed.
 
-    At each step the right action and ``n_valid - 1`` others, drawn at random, are allowed. Who
-    reads ``action_masks()`` finds the right one sooner; an action that is not allowed is answered
-    with 0, like any wrong one.
+    At each step the right action and ``n_valid - 1`` others, drawn at random, are allowed. A
+    learner that reads ``action_masks()`` finds the right one sooner. A forbidden action gives 0,
+    like any wrong one.
     """
 
     def __init__(self, size: int = 100, n_valid: int = 5, length: int = 50) -> None:

@@ -1,4 +1,4 @@
-"""Feature extractors for images, as those who defined the tasks have them."""
+"""Feature extractors for images, as in the papers that defined the tasks."""
 
 from typing import ClassVar
 

@@ -44,7 +44,7 @@ def build_tables(results: SuiteResults) -> list[Table]:
     tables = [_scores(results)]
     if results.preset.controls:
         tables.append(_controls(results))
-    # who reads masks beside who does not is no comparison of learners
+    # learners with masks beside learners without are not compared
     tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
     if len(tasks) > 1 and len(results.preset.methods) > 1:
         tables.append(_together(results, tasks))
@@ -94,7 +94,7 @@ def _scores(results: SuiteResults) -> Table:
 
 
 def _controls(results: SuiteResults) -> Table:
-    """What plays without learning, on test episodes by seed as a learner's."""
+    """The controls' scores on the test episodes of each seed, which are also a learner's."""
     tasks, controls = results.preset.tasks, results.preset.controls
     return Table(
         "controls",
@@ -106,7 +106,7 @@ def _controls(results: SuiteResults) -> Table:
 
 
 def _search(results: SuiteResults) -> Table:
-    """Variants by row: what each scored on the tasks that were run, over how many seeds."""
+    """A row for each variant: its score on each task, and the number of seeds."""
     preset = results.preset
     header, tried = ["Variant"], []
     for key, task in preset.tasks.items():
@@ -124,7 +124,7 @@ def _search(results: SuiteResults) -> Table:
 
 
 def _together(results: SuiteResults, tasks: list[str]) -> Table:
-    """All tasks at once, and how likely a run of the first method is better than another."""
+    """All tasks at once, and the probability that a run of the first method is the better."""
     preset = results.preset
     scores = {method: results.scores(method, tasks) for method in preset.methods}
     ours = preset.methods[0]
@@ -186,9 +186,9 @@ def _speed(results: SuiteResults) -> Table:
 
 
 def pictures(results: SuiteResults) -> list[style.Picture]:
-    """What the stored runs can show."""
+    """The figures for which there are runs."""
     result = []
-    # of a search the curves would be more than can be told apart
+    # a search has too many curves to tell apart
     if not results.preset.search:
         result.append(style.Picture("curves", partial(_curves, results)))
     if contact.levels(results):

@@ -50,7 +50,7 @@ class SuiteResults:
                 self.missing += 1
 
     def problems(self) -> list[str]:
-        """A sentence for each run that is another's, or has other test episodes than its seed's."""
+        """A sentence for each run in the wrong folder, or without its seed's test episodes."""
         result = []
         for cell, run in self.all.items():
             problems = check_meta(run.folder)
@@ -91,7 +91,7 @@ class SuiteResults:
 def student(scores: Sequence[float]) -> Value:
     """Mean of one number per seed, with Student's 95 % interval from three seeds on.
 
-    Of so few numbers the bootstrap's percentiles are too narrow.
+    For so few numbers the bootstrap's percentiles are too narrow.
     """
     return measured(scores) if len(scores) > 2 else over_seeds(scores)
 

@@ -1,4 +1,4 @@
-"""Runs of the public tasks: a learner is trained and tested, a control tested, all alike."""
+"""Runs of the public tasks: a learner is trained and tested, a control is tested alike."""
 
 import math
 import pickle
@@ -52,7 +52,7 @@ def evaluate(
 ) -> list[tuple[float, int]]:
     """Return and length of a policy's episodes, one for each ``reset(seed=...)``.
 
-    ``discrete`` says whether actions are numbers, where the task could be played by both.
+    ``discrete``: choose one of n actions, not increments, where the task has both kinds.
     """
     if len(seeds) > PARALLEL:
         some = evaluate(act, task, seeds[:PARALLEL], discrete)
@@ -176,7 +176,7 @@ class Tester(Recorder):
 
 
 class _Envs:
-    """Training environments in the midst of their episodes; a world of Box2D cannot be kept."""
+    """Training environments in the middle of their episodes; Box2D's cannot be stored."""
 
     def __init__(self, env: DummyVecEnv) -> None:
         self.env = env
@@ -239,9 +239,9 @@ def run_control(
     folder: RunFolder,
     stop_requested: StopRequested = lambda: False,
 ) -> dict[str, Any]:
-    """Test what plays without learning on the episodes of a learner; writes ``episodes.csv``.
+    """Test a control on a learner's test episodes; writes ``episodes.csv``.
 
-    The one action that is held is the best on a learner's validation episodes.
+    The held action is the best one on a learner's validation episodes.
     """
     task, seed = preset.tasks[cell.track], cell.seed
     report = ProgressReporter(folder, stop_requested)

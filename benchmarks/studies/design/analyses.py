@@ -26,7 +26,7 @@ BANDS: Final = {
 ROBUST: Final = "0.20-0.25"
 STEP: Final = 0.02  # of lambda, in the atlas
 MAP_HEAVES: Final = (0.21, 0.22, 0.23, 0.24, 0.25)
-_told: Final = attrgetter("geometry", "evaluations")  # of an optimum
+_outcome: Final = attrgetter("geometry", "evaluations")  # of an optimum
 Designs = Mapping[str, RRSGeometry]
 
 
@@ -48,13 +48,13 @@ def atlas_rows(progress: Callable[[float], None]) -> list[Row]:
 def optima(
     atlas: Sequence[Row], progress: Callable[[float], None]
 ) -> dict[str, tuple[RRSGeometry, int]]:
-    """The best designs by method at home's heave, and for each band of heave, with evaluations."""
+    """The best designs, with evaluations: by method at home's heave, and for each heave band."""
     problem = DesignProblem()
     cell = max(atlas, key=lambda row: float(str(row["a_w"])))
     lambdas = float(str(cell["lambda1"])), float(str(cell["lambda2"]))
     result = {
-        "nelder_mead": _told(design.optimize(problem)),
-        "differential_evolution": _told(design.optimize_globally(problem, generations=20)),
+        "nelder_mead": _outcome(design.optimize(problem)),
+        "differential_evolution": _outcome(design.optimize_globally(problem, generations=20)),
         "atlas": (problem.geometry(*lambdas), 0),
     }
     progress(0.4)
@@ -62,7 +62,7 @@ def optima(
         band = design.at_heaves(problem, heaves)
         rough = design.optimize_globally(band, generations=8, population=8)
         best = max((rough, design.optimize(band)), key=attrgetter("value"))
-        result[f"band {name}"] = _told(best)
+        result[f"band {name}"] = _outcome(best)
         progress(0.4 + 0.2 * (k + 1))
     return result
 
@@ -141,9 +141,9 @@ def trajectory_rows(designs: Designs) -> tuple[list[Row], list[Row]]:
 
 
 def pose_model_rows() -> list[Row]:
-    """What the paper's pose costs on the optimized design, worst over azimuth, by tilt.
+    """The error of the paper's pose on the optimized design, worst over azimuth, by tilt.
 
-    ``reached``: where forward kinematics say that the paper's angles bring the real machine.
+    ``reached``: the pose to which the paper's angles bring the real machine, by forward kinematics.
     """
     azimuth = np.radians(np.arange(0.0, 360.0, 2.0))
     rows: list[Row] = []

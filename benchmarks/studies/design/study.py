@@ -144,7 +144,7 @@ def _range(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(range=[f"[{low:.1f}, {high:.1f}]" for low, high in ends])
 
 
-# what is told of stored rows beyond their columns
+# what tables show of stored rows besides their columns
 PREPARED: Final[dict[str, Callable[[pd.DataFrame], pd.DataFrame]]] = {
     "optima": _optima,
     "threshold": lambda rows: rows.assign(gain=100.0 * (rows["optimized"] / rows["initial"] - 1.0)),

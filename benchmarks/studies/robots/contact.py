@@ -1,9 +1,9 @@
 """Scripts on the contact task, and learners beside them: success, time, force over the error.
 
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
-by time, with errors up to 3 mm. The tests have errors of fixed size to any side, or as the task
-draws them; tilt and friction are always the task's. Last, a search inserts with other timesteps,
-contacts and play, and a film is drawn.
+by time, with errors up to 3 mm. The tests have errors of fixed size in any direction, or as the
+task draws them; tilt and friction are always the task's. Last, a search inserts with other
+timesteps, contacts and play, and an animation is drawn.
 """
 
 import math
@@ -44,7 +44,7 @@ VARIANTS: Final[dict[str, Row]] = {
     "contact 20 ms": {"contact_time": 0.020},
     "play of 0.5 degrees": {"effector_play": math.radians(0.5)},
 }
-"""What the simulation assumes, varied: fields of the task."""
+"""Variants of the simulation's assumptions: fields of the task."""
 PRESSED: Final = 20.0  # N
 SCENE: Final = (480, 368)  # px of the film
 CHART: Final = (4.8, 1.76)  # inches of 100 px
@@ -82,7 +82,7 @@ def measure(level: str, episodes: int, tick: Tick) -> Row:
 
 
 def sensitivity(level: str, measured: Row, episodes: int, tick: Tick) -> list[Row]:
-    """The search, as its gains were chosen, under each of :data:`VARIANTS`."""
+    """The search with its chosen gains, under each of :data:`VARIANTS`."""
     gains, rows = measured[level][SEARCH]["gains"], []
     for variant, fields in VARIANTS.items():
         env = make(level, **fields)
@@ -93,7 +93,7 @@ def sensitivity(level: str, measured: Row, episodes: int, tick: Tick) -> list[Ro
 
 
 def yields(level: str, fields: Row) -> float:
-    """How far a peg sinks into a hole's flat rim until :data:`PRESSED` N are met, m."""
+    """Depth to which a peg sinks into a hole's flat rim at a force of :data:`PRESSED` N, m."""
     from coop_env.physics.model import Servos
 
     servos = Servos(delta_stiffness=1000.0)
@@ -136,7 +136,7 @@ def _chart(forces: np.ndarray, now: int, fps: int) -> np.ndarray:
 
 
 def varied(parts: Row) -> str:
-    """The table of what the simulation assumes."""
+    """The table of the varied assumptions."""
     rows = []
     for level in SENSITIVE:
         for row in parts.get(f"{level}, varied", []):
@@ -202,7 +202,7 @@ class Entry(NamedTuple):
 
 
 def levels(results: SuiteResults) -> dict[str, str]:
-    """The preset's contact tasks on the scripts' machine, which does not err: key and level."""
+    """The preset's contact tasks on the scripts' machine, which has no errors: key and level."""
     return {
         key: task.env_kwargs["level"]
         for key, task in results.preset.tasks.items()
@@ -211,7 +211,7 @@ def levels(results: SuiteResults) -> dict[str, str]:
 
 
 def _of(rows: pd.DataFrame, error: float | None) -> dict[str, Any]:
-    """The episodes under an error, as the scripts' are kept."""
+    """The episodes under an error, in the form of the scripts'."""
     rows = rows[rows["error"].isna() if error is None else rows["error"] == error]
     return {str(k): v for k, v in rows.fillna({"failure": ""}).to_dict("list").items()}
 

@@ -1,7 +1,7 @@
 """The physics twin beside the kinematics: errors over random poses, speed, and its model folder.
 
-Speed is CPU time of the process on threads that do nothing else, in turns, the median round;
-actions are random, drawn beforehand, with a bias downwards so that the peg meets the dome.
+Speed is control steps per CPU second in the median round; single form, batches and engine take
+turns. Actions are random, drawn beforehand, with a bias downwards so that the peg meets the dome.
 """
 
 import os
@@ -32,7 +32,7 @@ ERRORS: Final = {
 
 
 def measure_errors(geometry: str, poses: int, _: Tick) -> dict[str, Any]:
-    """Median and largest error of each kind, SI, over so many random valid poses."""
+    """Median and largest error of each kind, SI, over ``poses`` random valid poses."""
     from coop_env.physics.model import Machine
     from coop_env.physics.twin import Twin
     from coop_env.physics.validation import draw_poses, validate
@@ -73,7 +73,7 @@ def measure_speed(steps: int, rounds: int, _: Tick) -> dict[str, float]:
 
 
 def measure_memory(steps: int, tick: Tick) -> float:
-    """Megabytes that the process grows by over so many control steps after a tenth as many."""
+    """Growth of the process, MB, over ``steps`` control steps, after a tenth as many."""
     from coop_env.physics.env import CoopInsertionContactEnv
 
     loop = stepping(CoopInsertionContactEnv(), _actions(max(1, steps // 10)).reshape(-1, 6))

@@ -1,11 +1,11 @@
 """What the shield is worth: a certificate over the lattice, an adversary, and its price.
 
-The lattice through one start is looked at in full, and so many others in a sample: no move that the
-shield allows may harm the nominal machine, on its way or at its end. Then the machine errs
-(`SimToReal`), and an adversary takes of the allowed moves one with the least margins left. Random
-and learned policies play validation starts with and without the shield. Of machines drawn at
-random, moves are looked at that start where the robots may meet. Last, machines at the corners of
-their errors' bounds stand where the shield's model is at the margin.
+The lattice through one start is checked in full, those through others in a sample: no move that the
+shield allows may harm the nominal machine, on its way or at its end. Then the machine has errors
+(`SimToReal`), and an adversary takes the allowed move that leaves the least margin. Random and
+learned policies play validation starts with and without the shield. On machines drawn at random,
+moves are checked that start where the robots may meet. Last, machines at the corners of their
+errors' bounds stand where the shield's model is at the margin.
 """
 
 import argparse
@@ -41,14 +41,14 @@ from coop_env.simulation.task import N_AXES
 TASK: Final[dict[str, Any]] = {"reward": "progress"}
 SAFE: Final[dict[str, Any]] = {**TASK, "mask_singularities": True}
 SAMPLE: Final = 30  # points of each robot, of a sampled lattice
-LADDER: Final = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)  # the adversary measures what is left in margins
+LADDER: Final = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)  # what the adversary compares, in default margins
 # learned policies: their name in the table, and their runs
 LEARNED: Final = {
     "Rainbow": "cut/runs/rainbow-optimized-safe",
     "Rainbow trained with it": "shielded/runs/rainbow-optimized-shielded",
 }
 Floats = NDArray[np.float64]
-Maker = Callable[[CoopInsertionEnv, int], Act]  # who plays in an environment, of that seed
+Maker = Callable[[CoopInsertionEnv, int], Act]  # makes a policy for an environment, from a seed
 ERRORS: Final = {
     "1 mm, 0.1 degrees, links 0.01 %": SimToReal(
         base_position_error=0.001, base_tilt_error=math.radians(0.1), link_length_error=0.0001
@@ -58,7 +58,7 @@ ERRORS: Final = {
         backlash=math.radians(0.05),
     ),
 }  # fmt: skip
-"""Bounds of what the machine does not know of itself: base, its tilt, lengths, joints."""
+"""Bounds of the machine's unknown errors: base, its tilt, lengths, joints."""
 
 MOVES: Final = 10_000  # of each machine
 CONFIGURATIONS: Final = 10_000  # at the margin
@@ -70,7 +70,7 @@ STEPS: Final = ("linear_step", "angular_step", "heave_step")
 
 
 def adversary(env: CoopInsertionEnv) -> Act:
-    """Takes, of the moves it may, one after which the least of the margins is left."""
+    """A policy that takes the allowed move after which the least margin is left."""
     rng, unit = np.random.default_rng(derive("fresh", 14)), asdict(ShieldMargin())
     margins = [{name: m * size for name, size in unit.items()} for m in LADDER]
     shields = [KinematicShield(env, margin) for margin in margins]
@@ -92,7 +92,7 @@ def _at_random(env: CoopInsertionEnv, seed: int) -> Act:
 
 
 def certificates(phases: int, in_full: bool, tick: Tick) -> dict[str, Any]:
-    """The lattice of one start in full, and samples of so many others."""
+    """The lattice of one start in full, and samples of ``phases`` others."""
     env, result = CoopInsertionEnv(**TASK), {}
     shield = KinematicShield(env)
     env.reset(seed=derive("validate", 0, 0))
@@ -111,7 +111,7 @@ def certificates(phases: int, in_full: bool, tick: Tick) -> dict[str, Any]:
 
 
 def harm_of(real: SimToReal, moves: int, shielded: bool, tick: Tick) -> dict[str, int]:
-    """Collisions and singular ends in so many of the adversary's moves."""
+    """Collisions and singular ends in ``moves`` moves of the adversary."""
     env = CoopInsertionEnv(**SAFE, sim_to_real=real)
     player: Any = ShieldWrapper(env) if shielded else env
     choose, result = adversary(env), {"moves": 0, "collisions": 0, "singular": 0, "episodes": 0}
@@ -162,7 +162,7 @@ def price_of(
 
 
 def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[str, Any]]:
-    """Who plays, if its policies are there, under which masks, and what the shield changes."""
+    """A row for random and each stored policy, by masks, with and without the shield."""
 
     def policy(runs: str, env: CoopInsertionEnv, seed: int) -> Act:
         return greedy(load_model(results / f"{runs}-s{seed}" / "policy.zip"))
@@ -182,7 +182,7 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
 
 
 def draw_machine(rng: np.random.Generator) -> CoopInsertionEnv:
-    """A machine that can be built and started, far from the paper's in links, bodies and steps."""
+    """A random valid machine, far from the paper's in links, bodies and steps."""
 
     def scaled(one: object, names: tuple[str, ...], factor: float) -> dict[str, float]:
         return {name: getattr(one, name) * factor ** rng.uniform(-1.0, 1.0) for name in names}
@@ -230,7 +230,7 @@ def attack(env: CoopInsertionEnv, moves: int, rng: np.random.Generator) -> Certi
 
 
 def search(machines: int, tick: Tick) -> dict[str, int]:
-    """The attack on so many machines, all together."""
+    """The attack on ``machines`` machines, summed."""
     total = certificate.NOTHING
     for number in range(machines):
         rng = np.random.default_rng(derive("fresh", 16, number))
@@ -242,9 +242,9 @@ def search(machines: int, tick: Tick) -> dict[str, int]:
 def at_the_margin(real: SimToReal, configurations: int, tick: Tick) -> dict[str, float]:
     """Configurations at the margin, and at how many the worst machine in bounds is harmed.
 
-    Each error stands at its bound, with the sign that leaves the least. All errors are scaled
-    together up to the first harm: the least such ``share`` of the bounds says how much is covered.
-    Of ``CLIMB`` configurations each but the first is near the one that had the least share.
+    Each error is at its bound, with the worst sign. All errors are scaled together up to the first
+    harm: the least such ``share`` of the bounds says how much is covered. In each run of ``CLIMB``
+    configurations all but the first are near the one with the least share.
     """
     env, bounds = CoopInsertionEnv(sim_to_real=real), _bounds(real)
     shield, rng = KinematicShield(env), np.random.default_rng(derive("fresh", 17))
@@ -272,13 +272,13 @@ def at_the_margin(real: SimToReal, configurations: int, tick: Tick) -> dict[str,
 
 
 def _bounds(real: SimToReal) -> Floats:
-    """Of the base's position (3) and tilt (2), and of the eight lengths."""
+    """Bounds of the base's position (3) and tilt (2), and of the eight lengths."""
     base = [real.base_position_error] * 3 + [real.base_tilt_error] * 2
     return np.array([*base, *[real.link_length_error] * 8])
 
 
 def _edge(shield: KinematicShield, rng: np.random.Generator, near: Floats | None) -> Floats:
-    """A certified configuration from which the way on is not, anywhere or ``near`` another."""
+    """A certified configuration at the edge of what is certified, anywhere or ``near`` another."""
     low = np.array([-0.12, -0.12, -0.60, -0.6, -0.6, 0.21])
     span = np.array([0.12, 0.12, -0.45, 0.6, 0.6, 0.25]) - low
     while True:
@@ -296,7 +296,7 @@ def _edge(shield: KinematicShield, rng: np.random.Generator, near: Floats | None
 def _least_share(env: CoopInsertionEnv, bounds: Floats, signs: Floats) -> tuple[float, Floats]:
     """The least share of all bounds that harms the machine, at most 8, and the errors' signs.
 
-    Signs are turned one by one as long as that leaves less, from the given ones on.
+    From the given signs on, signs are flipped one by one as long as that lowers the share.
     """
 
     def harms(share: float, signs: Floats) -> bool:
@@ -323,7 +323,7 @@ def _least_share(env: CoopInsertionEnv, bounds: Floats, signs: Floats) -> tuple[
 
 
 def _status(env: CoopInsertionEnv, errors: Floats) -> int:
-    """How the configuration is for a machine with these errors of base (5) and lengths (8)."""
+    """Status of the configuration on a machine with these errors of base (5) and lengths (8)."""
     states = env._states.copy()
     machine = states[0]["machine"]
     machine["base"] = errors[:5]
@@ -332,7 +332,7 @@ def _status(env: CoopInsertionEnv, errors: Floats) -> int:
 
 
 def _numbers(row: dict[str, Any]) -> list[str]:
-    """Mean and standard deviation over seeds of what a row of the prices has."""
+    """Mean and standard deviation over seeds of a row of the prices."""
     digits = {"success": 1, "holes": 2, "time": 1, "harm": 2, "interventions": 1}
     values = {key: over_seeds(row[key]) for key in digits if key in row}
     return [value.text(digits[key]) if value.n > 1 else "-" for key, value in values.items()]
@@ -374,7 +374,7 @@ class Shield(Measured):
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
         """The measurements as Markdown."""
-        asked, parts, said = result["asked"], result["parts"], {False: "no", True: "yes"}
+        asked, parts, yes_no = result["asked"], result["parts"], {False: "no", True: "yes"}
 
         def counts(part: dict[str, int], names: str) -> list[str]:
             return [f"{part[name]:,}" for name in names.split()]
@@ -392,7 +392,7 @@ class Shield(Measured):
             for way, shield in (("bare", "no"), ("shielded", "yes"))
         ]
         paid = [
-            [row["policy"], row["masks"], said[row["shield"]], *_numbers(row)]
+            [row["policy"], row["masks"], yes_no[row["shield"]], *_numbers(row)]
             for row in parts["prices"]
             if row["policy"] != "adversary"  # of older files
         ]

@@ -1,12 +1,12 @@
 """Policies and planners of the kinematic task in the simulated machine: the sim-to-sim table.
 
 The exact optimum, RRT-Connect, the two-move lookahead and Rainbow's stored policies play the same
-test starts in the kinematic task, in the twin without errors of the machine, in the twin with them,
-and there with a script or a learner that inserts where they have arrived. Plans are made on the
-nominal model, hole by hole, and run open loop; a player stops where a plan does not bring it to its
-hole. The scripts have the gains that the study ``contact`` chose, the learners are of preset
-``contact``, a policy for each seed. Where the policies of ``contact_errors`` are there, too,
-scripts and learners insert on machines within the errors trained on and outside of them.
+test starts in four worlds: the kinematic task, the twin without errors of the machine, the twin
+with them, and there with a script or a learner that inserts where they arrive. Plans are made on
+the nominal model, one for each hole, and run open loop; a player stops where a plan misses its
+hole. The scripts have the gains that the study ``contact`` chose, the learners are preset
+``contact``'s, a policy for each seed. Where the policies of ``contact_errors`` are stored too,
+scripts and learners insert on machines within the trained errors and beyond them.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -46,17 +46,17 @@ PLAYERS: Final = {
     "Rainbow, safe": ("rainbow", "safe"),
     "Rainbow, uncertain": ("rainbow", "uncertain"),
 }
-"""Who plays, and under which track's masks and memory; a planner has neither."""
+"""The players: a method, and the track whose masks and memory it has; planners have none."""
 FINISHES: Final = {
     "+ push": "compliant push",
     "+ spiral": "spiral search",
     "+ moment": "moment-guided search",
     "+ SAC": "SAC",
 }
-"""What inserts."""
+"""The inserters: a column for each."""
 WORLDS: Final = ("kinematics", "twin, no error", "twin", *FINISHES)
 INSERTERS: Final = ("compliant push", "moment-guided search", *LEARNED)
-"""What inserts on the machines of :func:`machines`."""
+"""The inserters that are tested on :func:`machines`."""
 NO_ERROR: Final = {"position_error": 0.0, "tilt_error": 0.0}
 Row = dict[str, list[Any]]
 Play = Callable[[Episode], None]
@@ -65,7 +65,7 @@ Play = Callable[[Episode], None]
 def make_world(
     world: str, results: Path, arguments: Mapping[str, Any], seed: int = 0
 ) -> CoopInsertionEnv:
-    """The environment of a world, for a player that has such arguments, in a seed's episodes."""
+    """The environment of a world for a player's arguments; ``seed``: the inserter's."""
     if world == "kinematics":
         return CoopInsertionEnv(**arguments)
     from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
@@ -81,7 +81,7 @@ def by_acting(begin: Callable[[Sequence[Episode]], Chooser]) -> Play:
 
 
 def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, dict[str, Any]]:
-    """Who plays the episodes of a seed, and the arguments of its environment."""
+    """A player for the episodes of a seed, and the arguments of its environment."""
     limits, (method, track) = preset.planner, PLAYERS[name]
     if not track:
         from benchmarks.methods.rrt_connect import RRTConnect, execute  # needs OMPL
@@ -100,7 +100,7 @@ def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, d
 
 
 def measure(name: str, world: str, results: Path, episodes: int) -> Row:
-    """A player's test episodes in a world, so many of each seed, a column for each quantity."""
+    """A player's test episodes in a world, ``episodes`` of each seed, by column."""
     preset, rows = load_preset(PRESET), []
     for seed in range(SEEDS):
         play, arguments = player(name, preset, results, seed)
@@ -112,7 +112,7 @@ def measure(name: str, world: str, results: Path, episodes: int) -> Row:
 
 
 def play_one(env: CoopInsertionEnv, play: Play, number: int, start: int) -> dict[str, Any]:
-    """One episode: whether it filled a hole, and its first target, and how many in all."""
+    """One episode: whether it filled a hole, whether its first target, and how many in all."""
     episode = Episode(env, number, start)
     first = int(env.state["target"])
     play(episode)
@@ -121,7 +121,7 @@ def play_one(env: CoopInsertionEnv, play: Play, number: int, start: int) -> dict
 
 
 def machines() -> dict[str, SimToReal]:
-    """Machines of the contact task, by how far off they are; those trained on are up to ``FORGE``.
+    """Machines of the contact task, by the size of their errors; training had up to ``FORGE``.
 
     At ``n`` times the bounds all errors are that large in every episode.
     """
@@ -136,7 +136,7 @@ def machines() -> dict[str, SimToReal]:
 
 
 def on_machines(name: str, results: Path, episodes: int, tick: Tick) -> Row:
-    """The test episodes of what inserts, on each of :func:`machines`; all policies of a kind."""
+    """Test episodes of an inserter, all its policies, on each of :func:`machines`."""
     from coop_env.physics.env import CoopInsertionContactEnv
 
     rows: Row = {}
@@ -151,7 +151,7 @@ def on_machines(name: str, results: Path, episodes: int, tick: Tick) -> Row:
 
 
 def _machines(parts: Mapping[str, Row]) -> Iterator[str]:
-    """The table of what inserts on machines that err, if it was measured."""
+    """The table of the inserters on machines with errors, if it was measured."""
     rows = [
         [name, *(in_cell(part[machine][0]) for machine in machines())]
         for name in INSERTERS

@@ -23,10 +23,10 @@ DRAWN: Final = None  # an error as the task draws it
 CONDITIONS: Final = (*ERRORS, DRAWN)
 EPISODES: Final = 50  # of each cell
 TRAINED: Final = 3.0  # mm: the largest error that the task draws
-LEVEL: Final = "standard"  # of what other studies let insert
+LEVEL: Final = "standard"  # at which other studies insert
 LEARNED: Final = {"SAC": "contact", "SAC, trained on machines that err": "contact_errors"}
-"""Presets of the policies that insert."""
-#: of a cell of the tables
+"""The policies that insert, and their presets."""
+#: what a cell of the tables shows
 WHAT: Final = "success (%) / median time of successes (s) / median peak force (N)"
 Row = dict[str, Any]
 
@@ -64,7 +64,7 @@ def play(
 
 
 def begun(script: Any) -> Any:
-    """A script, or a policy, at the beginning of an episode."""
+    """The script or policy, reset for an episode."""
     getattr(script, "reset", lambda: None)()
     return script
 
@@ -75,7 +75,7 @@ def policy_of(model: Any) -> Callable[[Any], Any]:
 
 
 def script_of(name: str, env: Any, gains: Mapping[str, float]) -> Any:
-    """A script by its name in an environment, with some gains that are not the standard's."""
+    """A script by its name in an environment, with these gains in place of the defaults."""
     return SCRIPTS[name](env, Gains(**gains))
 
 
@@ -91,8 +91,8 @@ def inserter(results: Path, name: str, seed: int) -> Any:
     if not path.is_file():
         # a complete run is not run again, and not every policy is in git
         command = f"run --preset {preset}" if preset else "study contact"
-        mend = f"delete {path.parent} and " * path.with_name("meta.json").is_file()
-        raise BenchmarkError(f"{path} is missing: {mend}run python -m benchmarks {command} first")
+        fix = f"delete {path.parent} and " * path.with_name("meta.json").is_file()
+        raise BenchmarkError(f"{path} is missing: {fix}run python -m benchmarks {command} first")
     if not preset:
         from coop_env.physics.task import resolve_task
 
@@ -125,11 +125,11 @@ def medians(result: Mapping[str, Sequence[Any]]) -> tuple[float, float, float]:
 
 
 def in_cell(result: Mapping[str, Sequence[Any]]) -> str:
-    """The medians as a table has them."""
+    """The medians as a table shows them."""
     success, time, force = medians(result)
     return f"{success:.0f} / {'-' if math.isnan(time) else f'{time:.2f}'} / {force:.1f}"
 
 
 def shown(error: float | None) -> str:
-    """A condition's head in a table."""
+    """A condition's column heading."""
     return f"{error:g} mm" if error is not DRAWN else f"to {TRAINED:g} mm"

@@ -36,7 +36,7 @@ from benchmarks.runs.cell import run_once
 from benchmarks.runs.harness import bar
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.base import source_digest
-from benchmarks.studies.scoring.scores import in_words
+from benchmarks.studies.scoring.scores import metric_lines
 from coop_env.simulation.task import TRAIL
 
 Given = argparse.Namespace
@@ -44,15 +44,15 @@ GEOMETRY: Final = "optimized"
 OPTIMUM: Final = "optimum"  # OMPL's planners take one seed a process, so that no entry resumes
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
 Run = Callable[[evaluate.OnProgress], evaluate.Rows]
-#: a seed's settings, and what plays its test episodes
+#: a seed's settings, and a function that plays its test episodes
 Scorer = tuple[dict[str, Any], Run]
 
 
 def prepare(preset: Preset, given: Given) -> list[Scorer]:
-    """Load and check what is brought, before anything is written; a scorer for each seed.
+    """Load and check the entry before anything is written; returns a scorer for each seed.
 
     The masks are those of the environment that the method acts in, as the model was trained with.
-    BenchmarkError if the name, the files or their spaces will not do.
+    BenchmarkError if the name, the files or their spaces do not fit.
     """
     _check(preset, given)
     number = len(preset.seeds)
@@ -89,8 +89,8 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
 def score(preset: Preset, given: Given, console: Console) -> None:
     """Score an entry on the preset's test episodes, store it, and write the leaderboard.
 
-    Complete seeds are kept. With ``--replace`` it may take the place of another one of its name,
-    without it a name that is taken is a BenchmarkError.
+    Complete seeds are kept. With ``--replace`` it may replace an entry of the same name; without, a
+    name that is taken is a BenchmarkError.
     """
     scorers = prepare(preset, given)
     store = Store.open(given.results, preset.name, create=True)
@@ -100,11 +100,11 @@ def score(preset: Preset, given: Given, console: Console) -> None:
         todo = [(RunFolder(store.entries / Cell(**c["cell"]).id), c, run) for c, run in scorers]
         ids = {folder.id for folder, *_ in todo}
         mine = (run for run in store.entered() if run.config()["cell"]["method"] == given.name)
-        # of a seed that the preset no longer has
+        # entries of seeds that the preset no longer has
         old += [_given_up(run, given) for run in mine if run.id not in ids]
         for folder, config, _ in todo:
             if (folder.path / "config.yaml").is_file() and folder.config() != config:
-                # what failed holds no name
+                # a failed entry does not reserve its name
                 old.append(_given_up(folder, given) if folder.is_complete() else folder.path)
         if complete := sum(folder.is_complete() and folder.path not in old for folder, *_ in todo):
             console.print(f"{complete} of {len(todo)} seeds were scored already")
@@ -112,9 +112,9 @@ def score(preset: Preset, given: Given, console: Console) -> None:
             for folder, config, run in todo:
                 here = RunFolder(replacing / folder.id) if folder.path in old else folder
                 _score(here, config, run, preset.name, progress)
-        for path in old:  # gives way once all seeds of the new one have played
+        for path in old:  # removed only once all seeds of the new one have played
             shutil.rmtree(path)
-        for path in old:  # and stands beside none of its seeds
+        for path in old:  # so that old and new never stand side by side
             if path.name in ids:
                 (replacing / path.name).rename(path)
         shutil.rmtree(replacing, ignore_errors=True)
@@ -127,7 +127,7 @@ def score(preset: Preset, given: Given, console: Console) -> None:
 
 
 def _given_up(folder: RunFolder, given: Given) -> Path:
-    """The path of an entry that is to be replaced; BenchmarkError where that was not asked for."""
+    """The path of an entry to replace; BenchmarkError without ``--replace``."""
     if not given.replace:
         raise BenchmarkError(
             f"'{given.name}' is already on the board with another model, protocol or seed "
@@ -155,7 +155,7 @@ def glance(preset: Preset, given: Given) -> Iterator[str]:
     preset = dataclasses.replace(preset, evaluation=tests)
     for config, run in prepare(preset, given):
         name = f"{given.name}, seed {config['cell']['seed']}"
-        yield from in_words(pd.DataFrame(run(lambda share: None)), name)
+        yield from metric_lines(pd.DataFrame(run(lambda share: None)), name)
 
 
 def _check(preset: Preset, given: Given) -> None:
@@ -203,7 +203,7 @@ def _planner(preset: Preset, planner: str, seed: int) -> Callable[[Episode], Non
 
 
 def checked(plan: Callable[[Any], Any], name: str) -> Callable[[Any], Plan]:
-    """A planner of one's own as the harness has them.
+    """A user's own planner in the harness's form.
 
     ``plan(env)`` returns the moves to make next, as integers from 0 to 11 (or a
     :class:`~benchmarks.methods.base.Plan`); none ends the episode.

@@ -1,8 +1,8 @@
-"""Policies, controls and planners play once more: the test episodes, or others.
+"""Stored policies, controls and planners play again: the test episodes, or other starts.
 
-Of the test episodes it says whether each came out as stored. Any whole number stands for starts of
-its own, none of which was ever trained on; then it is a few episodes per seed, without noise and on
-the track's own machine. The store stays as it is, the episodes go to ``results/again/``.
+Test episodes are compared with the stored ones. A whole number names other starts, none of which
+was trained on; of these a few are played per seed, without noise, on the track's own machine. The
+store does not change; the episodes go to ``results/again/``.
 """
 
 import math
@@ -37,8 +37,8 @@ FRESH_EPISODES: Final = 20  # per seed of other starts: five seeds tell +-0.1 of
 class Replay(Insertion):
     """The complete runs of a preset, played by their policies, controls and planners.
 
-    ``episodes`` are per seed, None for the preset's (of other starts at most ``FRESH_EPISODES``);
-    ``starts`` stands for other starts than the test episodes', None for those.
+    ``episodes`` are per seed, None for the preset's (for other starts at most ``FRESH_EPISODES``);
+    ``starts`` names other starts, None the test episodes'.
     BenchmarkError if the store is missing, or the preset is of public tasks.
     """
 
@@ -47,7 +47,7 @@ class Replay(Insertion):
     def __init__(
         self, preset: str, results: Path | str, episodes: int | None, starts: int | None
     ) -> None:
-        load_preset(preset)  # no store of public tasks has what is played here
+        load_preset(preset)  # an error for public tasks, which cannot be played here
         super().__init__(preset)
         self.results, self.episodes, self.starts = Path(results), episodes, starts
         where = str(self.results.resolve())
@@ -55,7 +55,7 @@ class Replay(Insertion):
         self.source = self.open_store(self.results)
 
     def leave_out(self) -> tuple[int, int]:
-        """Keep the cells that can play; returns how many have not run, and lack their policy."""
+        """Keep the cells that can play; returns how many have not run, how many lack a policy."""
         for cell in self.cells:
             self.source.run(cell.id).check_config(self.settings(cell))
         complete = [cell for cell in self.cells if self.source.run(cell.id).is_complete()]
@@ -63,15 +63,15 @@ class Replay(Insertion):
         not_run, without_policy = len(self.cells) - len(complete), len(complete) - len(playing)
         self.cells = [cell for cell in playing if cell.method != DESIGN]
         if not any(cell.learns or not without_policy for cell in self.cells):
-            mend = "run the preset first"
+            fix = "run the preset first"
             if without_policy:  # git keeps those of few presets
-                mend = f"the policies of {without_policy} complete runs are not here; delete the "
-                mend += "folder of one and run the preset again"
-            raise BenchmarkError(f"{self.source.folder} has nothing to score: {mend}")
+                fix = f"the policies of {without_policy} complete runs are not here; delete the "
+                fix += "folder of one and run the preset again"
+            raise BenchmarkError(f"{self.source.folder} has nothing to score: {fix}")
         return not_run, without_policy
 
     def check(self, todo: Sequence[Cell]) -> None:
-        """What has run once can be built."""
+        """Check nothing: what has run once can be built."""
 
     def units(self, config: dict[str, Any]) -> int:
         # it does not matter how long a policy was trained
@@ -80,7 +80,7 @@ class Replay(Insertion):
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any]:
-        """Play the episodes; of all else meta.json says what the first run's does."""
+        """Play the episodes; meta.json otherwise repeats the first run's."""
         stored, report = self.source.run(cell.id), ProgressReporter(folder, stop_requested)
         model = load_stored(stored.policy) if cell.learns else None
         rows = evaluate_cell(self.shortened(cell), cell, report, self.starts, model)
@@ -88,7 +88,7 @@ class Replay(Insertion):
         return {key: value for key, value in stored.meta().items() if key != "schema"}
 
     def shortened(self, cell: Cell) -> Preset:
-        """The preset with as many episodes as are to play, and of other starts the main levels."""
+        """The preset with the number of episodes to play, and for other starts its main levels."""
         tests = self.preset.evaluation
         number = tests.episodes if self.episodes is None else self.episodes
         if self.starts is not None:
@@ -103,10 +103,10 @@ class Replay(Insertion):
         return 0
 
     def verdict(self, folder: RunFolder) -> str:
-        return "; " + next(in_words(Result.read(folder).test(), "now"))
+        return "; " + next(metric_lines(Result.read(folder).test(), "now"))
 
     def compare(self, store: Store, console: Console) -> None:
-        """Success of each run in both ways of acting, stored and now, and how many are alike."""
+        """Print each run's success in both ways of acting, stored and now, and how many agree."""
         rows, equal = [], 0
         for cell in self.cells:
             first, again = (Result.read(s.run(cell.id)) for s in (self.source, store))
@@ -129,7 +129,7 @@ class Replay(Insertion):
 
 
 def score_again(replay: Replay, console: Console) -> int:
-    """Play what a store holds once more; returns the command's exit code."""
+    """Play the runs of a store again; returns the command's exit code."""
     not_run, without_policy = replay.leave_out()
     if not_run:
         console.print(f"Left out, not run yet: {not_run} runs")
@@ -142,7 +142,7 @@ def score_again(replay: Replay, console: Console) -> int:
     console.print(f"{len(replay.cells)} runs play again, {jobs} at a time; Ctrl-C ends it")
     which = "test" if replay.starts is None else f"starts-{replay.starts}"
     again = Store.open(replay.results / AGAIN / which, replay.name, create=True)
-    with again.lock():  # before what another process may be at work on goes
+    with again.lock():  # before anything is deleted, as another process may be at work
         shutil.rmtree(again.folder / "runs", ignore_errors=True)
         outcome = Harness(replay, again, Backend(jobs), console).run()
     if outcome.interrupted:
@@ -155,11 +155,11 @@ def score_again(replay: Replay, console: Console) -> int:
     return 0
 
 
-def in_words(rows: pd.DataFrame, name: str) -> Iterator[str]:
+def metric_lines(rows: pd.DataFrame, name: str) -> Iterator[str]:
     """One line per level of noise: the paper's metrics, and holes."""
     for noise, group in rows.groupby("noise"):
         values = {metric: metric.reduce(group) for metric in (*PAPER_METRICS, *EXTRA_METRICS)}
-        parts = [  # what only insertions have is nowhere without one
+        parts = [  # NaN where no episode inserted
             f"{metric.label} {'-' if math.isnan(value) else f'{value:.{metric.digits}f}'}"
             for metric, value in values.items()
         ]

@@ -86,11 +86,11 @@ def test_every_command_is_one(page: str, least: int) -> None:
     commands = re.findall(r"(?:^ {4}|`)python -m benchmarks ([^`\n]*)", page, re.MULTILINE)
     assert len(commands) >= least
     for command in commands:
-        words = shlex.split(command, comments=True)
-        if words[0] == "study":
-            catalogue.study(words[1]).parser().parse_args(words[2:])
+        argv = shlex.split(command, comments=True)
+        if argv[0] == "study":
+            catalogue.study(argv[1]).parser().parse_args(argv[2:])
         else:
-            parser().parse_args(words)
+            parser().parse_args(argv)
 
 
 def test_the_numbers_in_the_text_are_those_of_the_code() -> None:
@@ -135,8 +135,8 @@ def test_the_environments_docstring_says_its_bounds_and_steps() -> None:
     bounds = []
     for row in re.findall(r"^\| (\d.*) \|$", said_of("Observation Space"), re.MULTILINE):
         fields, _, *ends = row.split(" | ")
-        said = [named.get(end) or float(end.split()[0]) for end in ends]
-        bounds += [said] * (int(fields.split()[-1]) - int(fields.split()[0].strip(",")) + 1)
+        pair = [named.get(end) or float(end.split()[0]) for end in ends]
+        bounds += [pair] * (int(fields.split()[-1]) - int(fields.split()[0].strip(",")) + 1)
     low, high = np.array(bounds).T
     for seed in range(20):
         plain, scaled = (env.reset(seed=seed, options={"filled": [3]})[0] for env in envs)
@@ -153,7 +153,7 @@ def test_a_block_without_its_data_stays() -> None:
 
     page = "a\n<!-- one:begin x -->\nold\n<!-- one:end -->\nb\n"
     assert blocks.render(page, {"one": missing}) == page
-    assert "\n\nx\n\n" in blocks.render(page, {"one": lambda said: said})
+    assert "\n\nx\n\n" in blocks.render(page, {"one": lambda argument: argument})
 
 
 def test_every_committed_picture_is_shown() -> None:

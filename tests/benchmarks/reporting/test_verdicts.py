@@ -69,8 +69,8 @@ def test_the_success_rate_reproduces_in_words_and_in_the_readmes_rows(
     results_of: ResultsOf,
 ) -> None:
     results = results_of(LEARNED)
-    said, details = sentences(results)["performance"].split("\n\n")
-    assert said == (
+    paragraph, details = sentences(results)["performance"].split("\n\n")
+    assert paragraph == (
         "**The success rate reproduces (3 of 5 seeds so far).** Rainbow succeeds in 95.0 ± 1.0 % "
         "of the test episodes (paper 95 ± 2 %), the best script in 50.3 ± 1.5 %."
     )
@@ -188,8 +188,8 @@ def test_a_script_that_noise_helps_is_named_beside_ours(results_of: ResultsOf) -
             rows = run.episodes[run.episodes["acting"] == "greedy"]
             noisy = rows.assign(noise=0.02, success=rows["episode"] < solved)
             pd.concat([run.episodes, noisy]).to_csv(run.folder.path / "episodes.csv", index=False)
-    said = sentences(read_again(results))["performance"].partition("\n\n")[0]
-    assert said.endswith(
+    paragraph = sentences(read_again(results))["performance"].partition("\n\n")[0]
+    assert paragraph.endswith(
         " With noise of 0.02 on what it observes, where scripts do best, the best script "
         "(Two-move lookahead, from the observation) reaches 90.0 ± 0.0 %, "
         "Rainbow 96.0 ± 0.0 % (+6.0 points [6.0, 6.0])."
@@ -205,7 +205,7 @@ ENDS = "ends the episode, Rainbow inserts in 95.0 ± 1.0 % and masked DQN in 70.
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "paragraph"),
     [
         ({PPO: [95, 97, 94]}, f" {AS_OFTEN} 1.91, Rainbow 1.90)."),
         ({PPO: [85, 96, 99]}, f" {CHANCE}"),  # no significant difference is no equality
@@ -215,9 +215,9 @@ ENDS = "ends the episode, Rainbow inserts in 95.0 ± 1.0 % and masked DQN in 70.
     ],
 )
 def test_what_stands_with_the_performance(
-    more: dict[str, list[int]], said: str, report_of: Reports
+    more: dict[str, list[int]], paragraph: str, report_of: Reports
 ) -> None:
-    assert report_of(LEARNED | more)["performance"].partition("\n\n")[0].endswith(said)
+    assert report_of(LEARNED | more)["performance"].partition("\n\n")[0].endswith(paragraph)
 
 
 @pytest.mark.parametrize(
@@ -243,9 +243,9 @@ def test_the_difference_in_training_has_its_own_sign(results_of: ResultsOf) -> N
     for run in results.group("rainbow", "repaired").runs:
         curve = run.folder.rows("curve")
         curve.assign(success=0.0).to_csv(run.folder.path / "curve.csv", index=False)
-    said = sentences(read_again(results))["components"]
-    assert "Rainbow's success rate is 25.0 points [22.5, 27.5] above" in said
-    assert re.search(r"it is [1-9][\d.]* points \[[\d., ]*\] below\.", said)
+    paragraph = sentences(read_again(results))["components"]
+    assert "Rainbow's success rate is 25.0 points [22.5, 27.5] above" in paragraph
+    assert re.search(r"it is [1-9][\d.]* points \[[\d., ]*\] below\.", paragraph)
 
 
 def test_a_removal_alone_says_nothing_of_all_components(report_of: Reports) -> None:
@@ -267,22 +267,26 @@ def test_the_components_are_named_with_their_cost(report_of: Reports) -> None:
     assert "Uncorrected" not in report
     # p is 0.04, and 0.2 after the correction
     report = report_of(LEARNED | _removed(**{name: [85, 90, 81] for name in SIX}))["components"]
-    said = "none costs success beyond chance after the correction for 6 tests. Uncorrected, these "
-    assert said in report
+    paragraph = (
+        "none costs success beyond chance after the correction for 6 tests. Uncorrected, these "
+    )
+    assert paragraph in report
     assert report.count(" (-9.7 points [-18.4, -0.9])") == len(SIX)
 
 
 def test_a_removal_that_costs_greedily_alone_is_named(results_of: ResultsOf) -> None:
     results = results_of(LEARNED | _removed(**dict.fromkeys(SIX, EQUAL)))
-    said = sentences(results)["components"]
-    assert said.startswith("**Rainbow's six components help together, none is shown to alone.**")
+    paragraph = sentences(results)["components"]
+    assert paragraph.startswith(
+        "**Rainbow's six components help together, none is shown to alone.**"
+    )
     for run in results.group("rainbow", "repaired", ablation="no_noisy").runs:
         rows = run.episodes
         rows.loc[(rows["acting"] == "greedy") & (rows["episode"] >= 50), "success"] = 0
         rows.to_csv(run.folder.path / "episodes.csv", index=False)
-    said = sentences(read_again(results))["components"]
-    assert said.startswith("**The ablation of the six components reproduces in part.**")
-    assert "Greedily, these do after the correction: noisynets (-4" in said
+    paragraph = sentences(read_again(results))["components"]
+    assert paragraph.startswith("**The ablation of the six components reproduces in part.**")
+    assert "Greedily, these do after the correction: noisynets (-4" in paragraph
 
 
 @pytest.mark.parametrize(("solved", "word"), [(49, "does not teach"), (50, "teaches")])

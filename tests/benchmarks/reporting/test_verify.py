@@ -144,7 +144,7 @@ def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
     number, seed, start, rest = lines[1].split(",", 3)
-    for changed, words in (
+    for changed, message in (
         (lines[:5] + lines[6:], "rows at noise 0.0, error 0 mm, acting greedy, not one for each"),
         ([lines[0], f"{number},{int(seed) + 1},{start},{rest}", *lines[2:]],
          "other than the test seeds"),
@@ -153,7 +153,7 @@ def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
     ):  # fmt: skip
         path.write_text("".join(changed), encoding="utf-8")
         (problem,) = check_runs(store)
-        assert words in problem
+        assert message in problem
     path.write_text(text, encoding="utf-8")
     learner = learners(store)[0]
     rows = learner.rows("episodes")
@@ -276,7 +276,7 @@ def test_each_damaged_file_is_a_line(copy: Path, store: Store, capsys: Capture) 
     for path in (run.path, *(results / name for name in files)):
         assert len([line for line in err.splitlines() if line.startswith(str(path))]) == 1, err
     assert "Study transfer: its text against its data" in out
-    assert "Pages: not looked at until these differences are mended" in out
+    assert "Pages: not looked at until these differences are fixed" in out
     assert main([*words(copy, "tables"), "--preset", "quick"]) == 2
     assert f"error: {run.path / 'episodes.csv'} has values in column" in capsys.readouterr().err
 
@@ -285,9 +285,9 @@ def test_a_store_of_a_preset_of_ones_own_is_named(copy: Path, done: Command) -> 
     folder = Store.open(copy / "results", "my2", create=True).folder
     assert f"{folder}: not looked at; --preset FILE" in done(*words(copy))
     alone = Store.open(copy / "other", "my2", create=True).folder
-    for command, said in (("verify", "not looked at"), ("report", "left out")):
+    for command, message in (("verify", "not looked at"), ("report", "left out")):
         out = done(command, "--results", str(copy / "other"))
-        assert f"{alone}: {said}; --preset FILE says what is in it" in out
+        assert f"{alone}: {message}; --preset FILE says what is in it" in out
 
 
 def test_a_report_rewrites_the_readme(

@@ -105,8 +105,8 @@ def test_a_curve_has_at_most_so_many_rows_and_no_more_than_rounds_of_steps() -> 
 @pytest.mark.parametrize("share", [0.8, 1.0])
 def test_the_stage_rises_once_when_enough_of_a_full_window_succeeded(share: float) -> None:
     settings = Curriculum(window=10, threshold=0.9)
-    told: list[tuple[str, int]] = []
-    env = SimpleNamespace(env_method=lambda name, stage: told.append((name, stage)))
+    calls: list[tuple[str, int]] = []
+    env = SimpleNamespace(env_method=lambda name, stage: calls.append((name, stage)))
     model: Any = SimpleNamespace(num_timesteps=0, get_env=lambda: env, logger=None)
 
     def callback(state: Any = None) -> CurriculumCallback:
@@ -129,5 +129,5 @@ def test_the_stage_rises_once_when_enough_of_a_full_window_succeeded(share: floa
         curriculum = callback(pickle.dumps(curriculum.get_state()))
     assert bool(switched) == (share == 1.0)
     assert (curriculum.switched_at, curriculum.stage) == (switched, int(share == 1.0))
-    assert told == [("set_stage", 1)] * (share == 1.0)
+    assert calls == [("set_stage", 1)] * (share == 1.0)
     assert CurriculumCallback(Curriculum(enabled=False)).stage == 1

@@ -138,9 +138,9 @@ def test_another_assembly_mode_is_seen_within_a_control_step(env: CoopInsertionC
         twin.states[0, 1 : 1 + position.size] = position
         *_, terminated, _, info = env.step(REST)
         assert (terminated, info["failure"]) == (True, "snap")
-        told = twin.servo_targets(start)
-        joints = last(twin.advance(told[None], 500)).joints[0]
-        assert joints[3:] == pytest.approx(told[3:], abs=1e-3)  # it stays there, and no joint tells
+        targets = twin.servo_targets(start)
+        joints = last(twin.advance(targets[None], 500)).joints[0]
+        assert joints[3:] == pytest.approx(targets[3:], abs=1e-3)  # it stays, and no joint shows it
 
 
 @pytest.mark.parametrize("name", [IDS[0], IDS[2]])

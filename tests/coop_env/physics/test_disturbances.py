@@ -221,7 +221,7 @@ def test_a_critic_sees_what_is_so() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"),
+    ("wrong", "message"),
     [
         ({"servo_gain_error": -0.1}, "SimToReal.servo_gain_error = -0.1: must be at least 0"),
         ({"mass_error": 1.0}, "SimToReal.mass_error = 1.0: must be at least 0 and at most 0.9"),
@@ -229,9 +229,9 @@ def test_a_critic_sees_what_is_so() -> None:
         ({"observation_noise": 0.1}, "SimToReal.observation_noise: the machine has contact here"),
     ],
 )
-def test_one_clear_error_for_what_cannot_be(wrong: Any, words: str) -> None:
+def test_one_clear_error_for_what_cannot_be(wrong: Any, message: str) -> None:
     for env_class in (CoopInsertionContactEnv, CoopInsertionPhysicsDiscreteEnv):
-        with pytest.raises(ArgumentError, match=words):
+        with pytest.raises(ArgumentError, match=message):
             env_class(sim_to_real=wrong)
 
 

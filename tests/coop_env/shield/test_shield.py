@@ -238,7 +238,7 @@ class TestContact:
 
 
 @pytest.mark.parametrize(
-    ("margin", "said"),
+    ("margin", "message"),
     [
         ({"sigma": -0.1}, r"ShieldMargin.sigma = -0.1"),
         ({"joint": 0.5, "sigma": "much"}, "ShieldMargin.sigma = 'much'"),
@@ -247,8 +247,8 @@ class TestContact:
         (3.0, "margin = 3.0"),
     ],
 )
-def test_margins_that_make_no_sense(env: CoopInsertionEnv, margin: Any, said: str) -> None:
-    with pytest.raises(ArgumentError, match=said):
+def test_margins_that_make_no_sense(env: CoopInsertionEnv, margin: Any, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
         KinematicShield(env, margin)
 
 

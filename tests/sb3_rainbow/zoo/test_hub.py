@@ -225,7 +225,7 @@ BIAS = "policy.q_net.layers.0.bias"
 
 
 @pytest.mark.parametrize(
-    ("where", "name", "value", "said"),
+    ("where", "name", "value", "message"),
     [
         ("arguments", "env", "os:path-v0", "unknown setting env"),
         ("arguments", "predict", 1, "unknown setting predict"),
@@ -249,9 +249,9 @@ BIAS = "policy.q_net.layers.0.bias"
     ],
 )
 def test_settings_are_held_against_their_types_and_arrays_against_the_network(
-    where: str, name: str, value: Any, said: str, packaged: Path
+    where: str, name: str, value: Any, message: str, packaged: Path
 ) -> None:
-    with pytest.raises(ZooError, match=rf"forged.zip cannot be loaded as Rainbow: .*{said}"):
+    with pytest.raises(ZooError, match=rf"forged.zip cannot be loaded as Rainbow: .*{message}"):
         hub.load(forged(packaged, where, name, value))
 
 
@@ -309,7 +309,7 @@ def test_files_that_are_no_model_of_rainbow(packaged: Path) -> None:
     rewritten(packaged, Path("small.zip"), compression=zipfile.ZIP_LZMA)
     version = "_stable_baselines3_version"
     rewritten(Path("dqn.zip"), Path("old.zip"), lambda name, x: b"9.9.9" if name == version else x)
-    for name, trust, said in [
+    for name, trust, message in [
         ("dqn.zip", False, "it was not packaged"),
         ("text.zip", False, "not a zip file"),
         ("other.zip", False, "it was not packaged"),
@@ -318,5 +318,5 @@ def test_files_that_are_no_model_of_rainbow(packaged: Path) -> None:
         ("dqn.zip", True, "was the file saved by another algorithm"),
         ("old.zip", True, r"\(saved by Stable-Baselines3 9\.9\.9, this is 2\."),
     ]:
-        with pytest.raises(ZooError, match=rf"{name} cannot be loaded as Rainbow: .*{said}"):
+        with pytest.raises(ZooError, match=rf"{name} cannot be loaded as Rainbow: .*{message}"):
             hub.load(name, trust=trust)

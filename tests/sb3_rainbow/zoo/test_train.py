@@ -118,7 +118,7 @@ def test_the_zoos_own_algorithms_stay_as_they_are() -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "said"),
+    ("command", "message"),
     [
         ("train --env CartPol-v1", "no environment CartPol-v1: .*Did you mean: `CartPole`?"),
         ("enjoy --env CartPol-v1", "no environment CartPol-v1"),
@@ -135,10 +135,10 @@ def test_the_zoos_own_algorithms_stay_as_they_are() -> None:
         ("train -i text.zip --conf-file small.yml", "text.zip .* wasn't a zip-file"),
     ],
 )
-def test_bad_input_is_one_clear_error(command: str, said: str) -> None:
+def test_bad_input_is_one_clear_error(command: str, message: str) -> None:
     DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu").save("other")
     Path("text.zip").write_text("no archive")
-    with pytest.raises(SystemExit, match=rf"python -m sb3_rainbow.zoo \w+: error: .*{said}"):
+    with pytest.raises(SystemExit, match=rf"python -m sb3_rainbow.zoo \w+: error: .*{message}"):
         zoo(command)
 
 

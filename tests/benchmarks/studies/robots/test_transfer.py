@@ -37,10 +37,10 @@ def test_an_exact_plan_fills_all_holes_with_a_search_and_no_far_one_by_a_push(wo
 
 
 @pytest.mark.parametrize(
-    ("name", "mend"), [("spiral search", "study contact"), ("SAC", "run --preset contact")]
+    ("name", "fix"), [("spiral search", "study contact"), ("SAC", "run --preset contact")]
 )
-def test_what_inserts_must_be_there(name: str, mend: str, tmp_path: Path) -> None:
-    with pytest.raises(BenchmarkError, match=f"is missing: run python -m benchmarks {mend} first"):
+def test_what_inserts_must_be_there(name: str, fix: str, tmp_path: Path) -> None:
+    with pytest.raises(BenchmarkError, match=f"is missing: run python -m benchmarks {fix} first"):
         inserter(tmp_path, name, 0)
 
 
