@@ -115,15 +115,16 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     for rival in rivals:
         if ground(rival.theirs):
             continue
+        more = _but_greedily(rival, compared)
+        trained = " As trained," if more else ""
         if as_good := as_well(rival):
             holes, mine = (row.value(HOLES).mean for row in (rival.theirs, ours))
-            text += f" {rival.theirs.title} {as_good} (holes per episode {holes:.2f}, Rainbow "
-            text += f"{mine:.2f}){_but_greedily(rival, compared)}."
+            text += f"{trained} {rival.theirs.title} {as_good} (holes per episode {holes:.2f}, "
+            text += f"Rainbow {mine:.2f}){more}."
         elif outcome(rival) == SAME:
-            above = _above(rival.difference)
-            corrected = "after the correction for all learners " * (rival.p < SIGNIFICANCE)
-            text += f" Rainbow is {above} {rival.theirs.title}, which {corrected}may be chance"
-            text += f"{_but_greedily(rival, compared)}."
+            text += f"{trained} Rainbow is {_above(rival.difference)} {rival.theirs.title}, which "
+            corrected = " after the correction for all learners" * (rival.p < SIGNIFICANCE)
+            text += f"may be chance{corrected}{more}."
     if there := on_track(results, "terminal"):
         text += f" Where a collision ends the episode, {there}."
     text += under_noise(results, greedy)
@@ -160,7 +161,7 @@ def _but_greedily(rival: Comparison, compared: list[Comparison]) -> str:
     for c in compared:
         same = (c.theirs.method, c.theirs.ablation) == (rival.theirs.method, rival.theirs.ablation)
         if c.question == Question.MASKED and same and outcome(c) != outcome(rival):
-            return f" as trained; greedily, Rainbow is {_above(c.difference)} it"
+            return f"; greedily, Rainbow is {_above(c.difference)} it"
     return ""
 
 

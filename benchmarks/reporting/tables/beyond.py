@@ -176,9 +176,9 @@ def difficulty(results: Results) -> Table:
     notes = [
         *paper.seeds_notes(result, [f"{row.name}, {row.geometry} geometry" for row in result]),
         *_gains(results),
-        "As stated: 10 mm and 5 degrees, moves of 20 mm and 0.03 rad, holes at 30 degrees, a "
-        "collision refuses the move. Scripts act with 5 % of random moves, Rainbow as trained, all "
-        "under the paper's masks.",
+        "As stated: 10 mm and 5 degrees, moves of 20 mm and 0.03 rad, holes at 30 degrees, "
+        "colliding moves are refused. Scripts act with 5 % of random moves, Rainbow as trained, "
+        "all under the paper's masks.",
     ]
     return Table("difficulty", "Success rate (%) by task", ["Task", *PLAYERS], made, notes)
 

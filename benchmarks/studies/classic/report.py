@@ -73,7 +73,7 @@ def page(store: Store) -> str:
 def _scores(results: SuiteResults) -> Table:
     preset, tasks = results.preset, results.preset.tasks
     header = ["Task", "Steps", "Goal", "Seeds", *map(of_suite, preset.methods)]
-    notes = [f"Mean over seeds [{_INTERVAL}]; test episodes have seeds of their own, by the run's."]
+    notes = [f"Mean over seeds [{_INTERVAL}]; the run's seed determines its test episodes."]
     if marks := dict.fromkeys(who for task in tasks.values() for who in task.published):
         header.append("Published")
         notes.append(f"Published, in this order and by protocols of their own: {'; '.join(marks)}.")
@@ -117,7 +117,7 @@ def _search(results: SuiteResults) -> Table:
     rows = [row for row in rows if {*row[1:]} - {"-"}]
     title = f"Return of the last greedy policy, {preset.final_episodes} episodes per seed"
     note = (
-        f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead. Tasks and variants without a "
+        f"Mean over seeds [{_INTERVAL}]; one seed is only a hint. Tasks and variants without a "
         "run are left out."
     )
     return Table("scores", title, header, rows, [note])
@@ -143,9 +143,9 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
         ["Method", "Seeds", "Interquartile mean", f"P({of_suite(ours)} is better)"],
         rows,
         [
-            "On each task the worst run of any method scores 0, the best 1; where all tie, 0. Of "
-            "each task as many seeds as all have. Measures of Agarwal et al. 2021 [95 % stratified "
-            "bootstrap interval over seeds].",
+            "On each task the worst run of any method scores 0, the best 1; where all tie, 0. "
+            "A method counts the seeds that it has on all tasks. Measures of Agarwal et al. 2021 "
+            "[95 % stratified bootstrap interval over seeds].",
         ],
     )
 
