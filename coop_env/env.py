@@ -93,11 +93,11 @@ class CoopInsertionEnv(Rendered):
     **Starting State**
 
     sigma_min is the least singular value of the 3-RRS's Jacobian. It is 0 at a type II singularity.
-    Roll and pitch within +-0.5 rad, heave over its range, x and y within +-0.06 m and the tip 0.05
-    to 0.15 m above the dome's apex are drawn uniformly, all anew until the start is valid, free of
-    collision and has a sigma_min of at least 0.15. The target is uniform over the
-    open holes. ``reset(options=...)`` takes ``configuration`` (x, y, z, roll, pitch, heave),
-    ``target`` (a hole) and ``filled`` (holes that count as filled).
+    A start draws roll and pitch within +-0.5 rad, heave over its range, x and y within +-0.06 m and
+    the tip 0.05 to 0.15 m above the dome's apex, uniformly. It is redrawn until valid, free of
+    collision and with a sigma_min of at least 0.15. The target is uniform over the open holes.
+    ``reset(options=...)`` takes ``configuration`` (x, y, z, roll, pitch, heave), ``target`` (a
+    hole) and ``filled`` (holes that count as filled).
 
     **Episode End**
 
@@ -108,23 +108,23 @@ class CoopInsertionEnv(Rendered):
 
     **Arguments**
 
-    All numbers above are the defaults of ``geometry``, ``delta`` and ``task``. Each of these and
+    Most numbers above are defaults of ``geometry``, ``delta`` and ``task``. Each of these and
     ``sim_to_real`` may be a plain mapping of fields (from YAML, say). Twelve moves and six axes are
     structure, and no argument changes them.
 
     Args:
         geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
-        reward: ``"paper"`` (equation (reward) to the letter) or ``"progress"``.
+        reward: ``"paper"`` (the paper's equation) or ``"progress"``.
         reward_kwargs: scales of ``"progress"``, see
             ``coop_env.simulation.rewards.PROGRESS_DEFAULTS``.
         observation: ``"paper"``, 12 numbers, or ``"markov"``, with filled holes and time.
         normalize: observation in [0, 1], or in SI units.
         mask_singularities: action masks also exclude collisions and singular moves.
-        mask_visited: they also exclude moves back to the last so many configurations (at most 64)
-            visited since the last insertion: 1 forbids undoing the last move, 0 nothing.
-        mask_refused: they also exclude moves that were made and refused at the present
-            configuration (an imperfect machine collides where its model does not), until it
-            changes or a reset; when everything valid has been refused, all of it is allowed again.
+        mask_visited: they also exclude moves back to the last n (at most 64) configurations since
+            the last insertion: 1 forbids undoing the last move, 0 nothing.
+        mask_refused: they also exclude moves that were refused at the present configuration (an
+            imperfect machine collides where its model does not). When all valid moves have been
+            refused, all are allowed again.
         collision: a move that would collide is not executed: ``"refuse"`` goes on from there,
             ``"terminate"`` ends the episode in failure.
         stage: 0, the first holes (of the paper's, the four peripheral), or 1, all of them.
@@ -140,7 +140,7 @@ class CoopInsertionEnv(Rendered):
 
     Raises:
         ArgumentError: an argument is out of range (its message names the fix).
-        RewardError: so is a reward or one of its scales.
+        RewardError: a reward or a scale is wrong.
         GeometryError: a robot cannot be assembled, or not at its home height.
 
     **Version History**

@@ -163,14 +163,14 @@ class CoopInsertionContactEnv(PhysicsEnv):
     ``Box(-5, 5, (29,), float32)``, everything in the units of the last column:
 
     =======  ====================================================================  ================
-    Field    Meaning                                                               One is
+    Field    Meaning                                                               Unit
     =======  ====================================================================  ================
     0 - 2    tip - mouth, as measured joints and the nominal model have it, world  0.01 m
     3, 4     x, y of the hole's normal, by the same belief                         0.05
-    5 - 10   joint angles theta, q, from those at the start                        0.05 rad
+    5 - 10   joint angles theta, q, minus those at the start                       0.05 rad
     11 - 13  mean force on the peg over the control step, with noise               10 N
     14 - 16  mean moment on it about its tip, with noise                           0.05 N m
-    17 - 22  command, from that at the start (x, y, z, roll, pitch, heave)         0.01 m, 0.05 rad
+    17 - 22  command, minus that at the start (x, y, z, roll, pitch, heave)        0.01 m, 0.05 rad
     23 - 28  last action                                                           1
     =======  ====================================================================  ================
 
@@ -178,8 +178,8 @@ class CoopInsertionContactEnv(PhysicsEnv):
 
     ``depth``, 1 per mm that the tip gains along the real hole's axis, up to 10 mm; ``step``, -0.05;
     ``force``, -0.1 per 5 N of the step's peak force above 5 N; ``insertion``, 20; ``failure``, -5.
-    At a failure ``step`` is charged for all steps that were left, and ``depth`` is zero: ending it
-    never pays.
+    At a failure ``step`` is charged for all steps that were left, and ``depth`` is zero: ending
+    early never pays.
 
     **Starting State**
 
@@ -239,15 +239,15 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
 
     **Action Space**
 
-    ``Box(-1, 1, (6,))``: increments of the commanded configuration, led along within a control step
-    of 0.05 s. One is a quarter of a move of the kinematic task: 5 mm of x, y, z, 7.5 mrad of roll,
+    ``Box(-1, 1, (6,))``: increments of the commanded configuration, spread over a control step of
+    0.05 s. One is a quarter of a move of the kinematic task: 5 mm of x, y, z, 7.5 mrad of roll,
     pitch, 5 mm of heave. A command beyond the robots' limits is not taken (``info["violation"]``).
 
     **Observation Space**
 
     ``Box(-5, 5, (30 + holes,), float32)``: the contact task's 29 fields, joint angles and command
-    from those at home; then for each hole whether it is filled; then the share of the time gone.
-    One is 0.1 m; 1 of a normal; 1 rad of a joint, 0.5 rad of a tilt; 10 N; 0.05 N m.
+    relative to home; then for each hole whether it is filled; then the share of the time gone.
+    Units: 0.1 m; 1 (normal); 1 rad (joint), 0.5 rad (tilt); 10 N; 0.05 N m.
 
     **Rewards**
 
@@ -264,7 +264,7 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
 
     **Episode End**
 
-    1. Termination: the peg was 10 mm deep in every active hole; the nearest open one is next.
+    1. Termination: the peg was 10 mm deep in every active hole, the nearest always next.
     2. Termination, ``info["failure"]``: ``"force"``, ``"snap"``, ``"diverged"``, as in contact.
     3. Truncation, ``"time"``: ``max_steps`` control steps.
 

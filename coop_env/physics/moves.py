@@ -122,12 +122,12 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
     """``CoopInsertion-v0`` on the twin: a move leads the servos of the simulated machine.
 
     Spaces, masks, observation, rewards, start states and ``info`` are those of
-    :class:`~coop_env.env.CoopInsertionEnv`, by the nominal model: by where the machine was
-    commanded to be. What happens is the twin's (``docs/physics_task.md``):
+    :class:`~coop_env.env.CoopInsertionEnv`, for where the nominal model was commanded to be. What
+    happens is the twin's (``docs/physics_task.md``):
 
     * a move takes 0.2 s, in which joint commands are led along it;
-    * one that meets a force above ``touch`` is taken back and counts as a collision, unless the
-      target is reached there, where the lattice of moves then begins anew;
+    * one that meets a force above ``touch`` is taken back and counts as a collision, unless it
+      reaches the target: there the lattice of moves begins anew;
     * without ``finish`` a hole is filled by the kinematic task's criterion, met by the real tip
       and the real hole at the end of a move;
     * with ``finish`` a move whose end meets that criterion by the nominal model is not made: the
@@ -153,7 +153,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
     Raises:
         DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
         ArgumentError: an argument is out of range, or the servos cannot hold home.
-        RewardError: so is a reward or one of its scales.
+        RewardError: a reward or a scale is wrong.
         GeometryError: a robot cannot be assembled.
 
     **Version History**

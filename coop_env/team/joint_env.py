@@ -15,7 +15,7 @@ from coop_env.vector.vector_env import CoopInsertionVectorEnv
 class CoopInsertionJointEnv(CoopInsertionEnv):
     """Cooperative insertion with both robots moving at once, commanded by one agent.
 
-    Everything is as in :class:`~coop_env.env.CoopInsertionEnv` but for what is said here; with one
+    All is as in :class:`~coop_env.env.CoopInsertionEnv` except as said here; with one
     robot on hold the states are the same to the last bit. ``docs/team.md`` says it at length.
 
     **Action Space**
@@ -32,8 +32,8 @@ class CoopInsertionJointEnv(CoopInsertionEnv):
     ======  =========  =============
 
     A robot whose own limits forbid its move stays while the other moves; if the robots would touch
-    where they arrive, neither moves. Each is a violation, and one in a tick counts, and costs, as
-    much as two. A move into a singular pose is executed and ends the episode.
+    where they arrive, neither moves. Each is a violation; two in a tick count and cost as much as
+    one. A move into a singular pose is executed and ends the episode.
 
     ``action_masks()`` is True where both moves are within the limits, and with
     ``mask_singularities`` where the tick also ends free of collision and singularity.

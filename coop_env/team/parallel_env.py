@@ -31,7 +31,7 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
     **Action Space**
 
     ``Discrete(7)`` each: the choices of :class:`~coop_env.team.joint_env.CoopInsertionJointEnv`,
-    where is also said what becomes of a tick in which a move is refused.
+    which also says what becomes of a tick in which a move is refused.
 
     **Observation Space**
 
@@ -49,11 +49,11 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     **Rewards, Episode End**
 
-    The reward is the single agent's of the tick, and both get it; both end together.
+    Both get the single agent's reward of the tick, and both end together.
 
     **Masks**
 
-    :meth:`action_masks` has them as sb3-contrib does, ``info["action_mask"]`` as PettingZoo does.
+    :meth:`action_masks` has them as bool, ``info["action_mask"]`` as int8, PettingZoo's type.
     They say what an agent can know: its own limits, with ``mask_singularities`` also the 3-RRS's
     singularities, and with ``sight`` as well collisions with the other where it stands. The other
     moves in the same tick, so an allowed move may still collide.
@@ -110,8 +110,8 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
     ) -> tuple[Observations, Infos]:
         """Start an episode, as :meth:`coop_env.env.CoopInsertionEnv.reset` does.
 
-        PettingZoo lets any option be given to any environment, so one that is none of this task's
-        is a warning here and no error.
+        PettingZoo lets any option be given to any environment, so one foreign to this task raises a
+        warning here, no error.
 
         Raises:
             ResetOptionError: an option is malformed, or names a state that cannot be taken.
