@@ -210,7 +210,7 @@ class CoopInsertionEnv(Rendered):
 
     @property
     def sim_to_real(self) -> SimToReal:
-        """The sim-to-real knobs: how far the real machine may be from its model."""
+        """The sim-to-real knobs, which say how far the real machine may be from its model."""
         return self._knobs
 
     @property
